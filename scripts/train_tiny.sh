@@ -137,6 +137,9 @@ if [ "$action" = ship ]; then
   cp "$runs/level_$step/model/level1.safetensors" "$runs/blending/model"/{depth_refinement,blending}.safetensors "$level_base/dpt_head.safetensors" \
     "$recipe/model.yaml" "$runs/model/"
   cp -r "$runs/level_$step" "$runs/level_ship"
+  # The unit of a single view belongs to the head that is shipped, which is not the one that gld stats saw.
+  "$gld" stats --config "$recipe/stats.yaml" --model "$runs/model" --scene-count 2048 --out "$runs/unit" --overwrite --device "$device"
+  cp "$runs/unit/model/single_view_unit.safetensors" "$runs/model/"
   "$gld" eval --model "$runs/model" --synthetic 64 --out "$runs/eval" --device "$device"
   echo "train_tiny: the model is in $runs/model; scripts/ship_tiny.sh $runs puts it into configs/tiny."
   exit 0

@@ -40,7 +40,7 @@ GeometryOutput geometry_of_pictures(const PipelineModels& models, const torch::T
                                         : backbone->encode_with_cameras(images, last, known_cameras));
   }
   const auto head = models.geometry_model_head ? models.geometry_model_head() : models.geometry_head();
-  auto maps = head->forward(inputs, grid, wanted);
+  auto maps = head->look(inputs, grid, wanted);
   const auto resized = [&](const torch::Tensor& channels_first) {
     return torch::upsample_bilinear2d(channels_first, {height, width}, /*align_corners=*/false);
   };

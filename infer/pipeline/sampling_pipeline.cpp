@@ -70,7 +70,10 @@ void run_source_depth(const PipelineModels& models, const PipelineRequest& reque
   state.depth = std::move(found.depth);
   result.stereo = std::move(found.stereo);
   result.head_depth = std::move(found.head);
-  if (request.views.num_sources == 1) result.head_depth_log_deviation = request.single_source_unit_deviation;
+  if (request.views.num_sources == 1) {
+    result.head_depth_log_deviation = head && head->single_view ? head->single_view->unit->log_deviation
+                                                                : request.single_source_unit_deviation;
+  }
 }
 
 void run_source_warp(const PipelineModels& models, const PipelineRequest& request, PipelineState& state,

@@ -57,7 +57,7 @@ std::string propagation_reason(const LevelSet& levels) {
 
 std::string source_depth_reason(const StageRequest& request) {
   if (request.source_depth_given) return "given";
-  if (request.num_sources == 1) return "the geometry head's, in the unit that is usual for the model";
+  if (request.num_sources == 1) return "the geometry head's, in a unit that the model guesses";
   switch (request.photographs.depth) {
     case SourceDepthOrigin::kStereo:
       return "what the photographs agree on";

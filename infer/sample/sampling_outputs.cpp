@@ -232,7 +232,7 @@ void SamplingOutputs::place(const PipelineResult& result) {
   if (placement_.scale) findings_["depth_scale"] = depth_scale_json(*placement_.scale);
   if (placement_.scale && placement_.scale->estimator == kUsualUnitEvidence) {
     warnings_.push_back(fmt::format(
-        "Depth, cloud and what is carried of the photograph are in the unit that is usual for this model: "
+        "Depth, cloud and what is carried of the photograph are in a unit that the model guesses: "
         "{:.0f} % less or {:.0f} % more would not surprise.",
         100 * (1 - placement_.scale->low / placement_.scale->scale),
         100 * (placement_.scale->high / placement_.scale->scale - 1)));

@@ -6,6 +6,7 @@
 #include "gld/base/sha256.h"
 #include "gld/machine/block_memory.h"
 #include "gld/tensors/weight_tensors.h"
+#include "models/bundle/view_unit_file.h"
 
 #include <algorithm>
 #include <system_error>
@@ -195,7 +196,9 @@ std::shared_ptr<Backbone> ModelBundle::load_backbone(const ParameterPlacement& p
 }
 
 std::shared_ptr<GeometryHead> ModelBundle::load_geometry_head(const ParameterPlacement& placement) const {
-  return loaded(options_.geometry_head.make(placement), BundlePart::geometry_head());
+  auto head = loaded(options_.geometry_head.make(placement), BundlePart::geometry_head());
+  head->guess_unit_by(read_single_view_unit(*this));
+  return head;
 }
 
 BundlePart ModelBundle::image_decoder_part() const {
@@ -260,6 +263,7 @@ std::string ModelBundle::content_hash() const {
   for (const BundlePart& part : bundle_parts(options_)) {
     if (has(part)) add(file(part));
   }
+  if (std::filesystem::is_regular_file(folder_ / kSingleViewUnitFile)) add(folder_ / kSingleViewUnitFile);
   return hash.hex_digest();
 }
 

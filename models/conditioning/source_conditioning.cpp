@@ -35,7 +35,7 @@ SourceConditioning encode_sources(const LatentSpace& space, const torch::Tensor&
 }
 
 GeometryOutput source_geometry(const GeometryHead& head, const SourceConditioning& sources) {
-  return head.forward(sources.for_geometry, sources.grid, GeometryMaps::kDepthAndRays);
+  return head.look(sources.for_geometry, sources.grid, GeometryMaps::kDepthAndRays);
 }
 
 WarpedFeatures warp_into_targets(const LatentSpace& space, const SourceScene& scene,

@@ -2,11 +2,13 @@
 
 #include "gld/base/options.h"
 #include "gld/cameras/camera.h"
+#include "models/decoders/single_view_unit.h"
 #include "models/layers/layers.h"
 #include "models/layers/operation_cost.h"
 
 #include <cstdint>
 #include <memory>
+#include <optional>
 #include <string>
 #include <utility>
 #include <vector>
@@ -34,6 +36,7 @@ struct GeometryOutput {
   // PoseEncoding (gld/cameras/pose_encoding.h) in the frame and unit of the rays, which it does not come from:
   // decoded_cameras() in camera_decoder.h makes cameras of them.
   torch::Tensor camera_encodings;
+  std::optional<SingleView> single_view;  // where one view was seen by a head that guesses its unit
 };
 
 struct GeometryInputs {
@@ -51,6 +54,15 @@ class GeometryHead : public torch::nn::Module {
                                  GeometryMaps maps) const = 0;
   // Draws random weights to train from.
   virtual void initialise(const torch::Generator& generator) = 0;
+
+  // Returns what forward() gives, with single_view.
+  GeometryOutput look(const GeometryInputs& inputs, const LatentGrid& grid, GeometryMaps maps) const;
+  // What guesses its unit where it sees one view alone; null for a head without. It is no part of its weights.
+  const SingleViewUnit* single_view_unit() const { return single_view_unit_.get(); }
+  void guess_unit_by(std::shared_ptr<const SingleViewUnit> unit) { single_view_unit_ = std::move(unit); }
+
+ private:
+  std::shared_ptr<const SingleViewUnit> single_view_unit_;
 };
 
 // The sizes of a head. Each family has one, in its own file; geometry_head_registry.h lists them.

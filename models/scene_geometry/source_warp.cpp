@@ -145,9 +145,12 @@ SourceDepth source_depth_of_head(const Views& views, const torch::Tensor& source
                                  const GeometryOutput& source_geometry, double single_source_unit) {
   SourceDepth depth;
   if (views.num_sources == 1) {
-    depth.from = "geometry head, in the usual unit";
+    const auto& view = source_geometry.single_view;
+    depth.from =
+        view ? "geometry head, in the unit that its view suggests" : "geometry head, in the usual unit";
     if (single_source_unit > 0) {
-      depth.views = depth_in_unit(source_geometry, 1, single_source_unit);
+      depth.views = depth_in_unit(source_geometry, 1,
+                                  view ? view->guess(views.cameras.front()).metres : single_source_unit);
     } else {
       depth.doubt = kNoScaleOfOneSource;
     }

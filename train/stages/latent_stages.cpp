@@ -11,6 +11,7 @@
 #include "gld/tensors/compute_threads.h"
 #include "gld/tensors/device.h"
 #include "models/bundle/seen_scenes.h"
+#include "models/bundle/view_unit_file.h"
 #include "models/conditioning/source_conditioning.h"
 #include "models/latent_spaces/latent_space.h"
 #include "train/objectives/level_objective.h"
@@ -88,15 +89,19 @@ SeenScenes seen_scenes(const std::vector<LevelMoments>& all,
 // has no more.
 double four_digits(double value) { return std::stod(fmt::format("{:.4g}", value)); }
 
-// Returns log(metres / unit) of what the head says of a scene's first view when that is all that it sees: the median
-// over its pixels. Returns nothing where no pixel tells it.
-std::optional<double> single_view_log_unit(const LatentSpace& space, const GeometryHead& head,
-                                           const TrainingScene& scene) {
+// What a geometry head says of a view that is all it sees.
+struct MeasuredView {
+  double log_unit = 0;           // log(metres / unit): the median over its pixels
+  std::vector<double> features;  // single_view_features()
+};
+
+// Returns it of a scene's first view, and nothing where no pixel tells the unit.
+std::optional<MeasuredView> measured_view(const LatentSpace& space, const GeometryHead& head,
+                                          const TrainingScene& scene) {
   ConditioningNeeds needs;
   needs.head_depth = true;
-  const auto view = scene.images.slice(0, 0, 1);
-  const auto said =
-      source_geometry(head, encode_sources(space, view, needs)).depth.to(torch::kCPU, torch::kFloat64);
+  const auto encoded = encode_sources(space, scene.images.slice(0, 0, 1), needs);
+  const auto said = source_geometry(head, encoded).depth.to(torch::kCPU, torch::kFloat64);
   const auto truth = scene.depth.slice(0, 0, 1).to(torch::kCPU, torch::kFloat64);
   const auto depth = torch::adaptive_avg_pool2d(said.unsqueeze(1), {truth.size(1), truth.size(2)}).squeeze(1);
   const auto known = torch::isfinite(truth)
@@ -104,7 +109,29 @@ std::optional<double> single_view_log_unit(const LatentSpace& space, const Geome
                          .logical_and(torch::isfinite(depth))
                          .logical_and(depth > 0);
   if (!known.any().item<bool>()) return std::nullopt;
-  return (truth.masked_select(known).log() - depth.masked_select(known).log()).median().item<double>();
+  MeasuredView view;
+  view.log_unit =
+      (truth.masked_select(known).log() - depth.masked_select(known).log()).median().item<double>();
+  const auto features = single_view_features(look_of_view(encoded.for_geometry.levels.front()[0], said[0]),
+                                             scene.views.cameras.front())
+                            .contiguous();
+  view.features.assign(features.data_ptr<double>(), features.data_ptr<double>() + features.numel());
+  return view;
+}
+
+// Returns the guess that these views allow, and nothing where they are too few to tell or not finite.
+std::optional<SingleViewUnit> fitted_unit(const std::vector<MeasuredView>& views) {
+  constexpr size_t kFewestViews = 16;
+  if (views.size() < kFewestViews) return std::nullopt;
+  std::vector<torch::Tensor> features;
+  std::vector<double> log_units;
+  for (const MeasuredView& view : views) {
+    features.push_back(torch::tensor(view.features, torch::kFloat64));
+    log_units.push_back(view.log_unit);
+  }
+  const auto all = torch::stack(features);
+  if (!torch::isfinite(all).all().item<bool>()) return std::nullopt;
+  return fit_single_view_unit(all, log_units);
 }
 
 void tell_narrow_decoder(const GeneratorOptions& part) {
@@ -275,7 +302,7 @@ std::string compute_statistics(const StatsOptions& options) {
   std::optional<Progress> progress;
   if (share.leads()) progress.emplace("latent statistics", options.scene_count);
   int64_t scenes = 0;
-  std::vector<double> log_units;
+  std::vector<MeasuredView> single_views;
   PieceOfWork batches;
   // The moments of each of the batch's scenes by itself.
   batches.make = [&](int64_t index) {
@@ -293,7 +320,10 @@ std::string compute_statistics(const StatsOptions& options) {
       }
       nlohmann::json of_scene{{"moments", moments_record(own)}};
       if (head) {
-        if (const auto unit = single_view_log_unit(space, *head, scene)) of_scene["log_unit"] = *unit;
+        if (const auto view = measured_view(space, *head, scene)) {
+          of_scene["log_unit"] = view->log_unit;
+          of_scene["single_view"] = view->features;
+        }
       }
       record.push_back(std::move(of_scene));
     }
@@ -306,7 +336,10 @@ std::string compute_statistics(const StatsOptions& options) {
       merge_record(scene.at("moments"), moments);
       of_scenes.push_back(moments_of(model));
       merge_record(scene.at("moments"), of_scenes.back());
-      if (scene.contains("log_unit")) log_units.push_back(scene.at("log_unit").get<double>());
+      if (scene.contains("log_unit")) {
+        single_views.push_back(
+            {scene.at("log_unit").get<double>(), scene.at("single_view").get<std::vector<double>>()});
+      }
       ++scenes;
       if (progress) progress->update(scenes);
     }
@@ -323,13 +356,17 @@ std::string compute_statistics(const StatsOptions& options) {
   // One that was measured elsewhere is not of these scenes.
   with_unit.single_source_unit = with_unit.single_source_unit_deviation = 0;
   nlohmann::ordered_json unit_report;
-  if (!log_units.empty()) {
+  const std::optional<SingleViewUnit> unit = fitted_unit(single_views);
+  if (!single_views.empty()) {
+    std::vector<double> log_units;
+    for (const MeasuredView& view : single_views) log_units.push_back(view.log_unit);
     const auto logs = torch::tensor(log_units, torch::kFloat64);
     with_unit.single_source_unit = four_digits(std::exp(logs.mean().item<double>()));
     with_unit.single_source_unit_deviation = four_digits(logs.std(/*unbiased=*/false).item<double>());
     unit_report = {{"metres", with_unit.single_source_unit},
                    {"log_deviation", with_unit.single_source_unit_deviation},
                    {"scenes", log_units.size()}};
+    if (unit) unit_report["log_deviation_by_view"] = four_digits(unit->log_deviation);
   }
   save_bundle_options(made, with_unit);
   std::vector<BundlePart> parts;
@@ -349,6 +386,7 @@ std::string compute_statistics(const StatsOptions& options) {
   }
   const auto with_statistics = ModelBundle::open(made);
   note_what_was_trained_on(with_statistics, parts);
+  if (unit) write_single_view_unit(with_statistics, *unit);
   SeenScenes seen = seen_scenes(moments, of_scenes, model.latent_epsilon);
   seen.drawn = options.data.scenes.empty();
   write_seen_scenes(with_statistics, seen);

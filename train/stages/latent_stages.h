@@ -52,7 +52,8 @@ std::string train_cascade(const TrainCascadeOptions& options, const DrawValidati
 // gld stats: latent statistics of every level that the model generates over training scenes, all views of a scene
 // encoded together; of special tokens too where it generates them; and of drawn scenes, which are in metres, the unit
 // of the geometry head (BundleOptions::single_source_unit and its deviation). model/ in the run folder is a copy of
-// the bundle with them. Several processes take a batch each in turns; the result is the same to the bit. Returns the
+// the bundle with them. Several processes take a batch each in turns; the result is the same to the bit, but for what the
+// head says of single views, which is to the sixth digit (single_view_unit.safetensors). Returns the
 // closing box as text, an empty one where another process writes the run folder.
 std::string compute_statistics(const StatsOptions& options);
 

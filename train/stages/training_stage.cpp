@@ -18,6 +18,7 @@
 #include "models/bundle/part_lineage.h"
 #include "models/bundle/seen_scenes.h"
 #include "models/bundle/trained_views.h"
+#include "models/bundle/view_unit_file.h"
 #include "train/page/live_training_page.h"
 
 #include <algorithm>
@@ -226,8 +227,10 @@ void copy_other_parts(const ModelBundle& from, const std::filesystem::path& to,
     if (!from.has(part) || std::find(made.begin(), made.end(), part) != made.end()) continue;
     copy_file_atomically(from.file(part), target.file(part));
   }
-  const auto seen = from.folder() / kSeenScenesFile;
-  if (std::filesystem::is_regular_file(seen)) copy_file_atomically(seen, to / kSeenScenesFile);
+  for (const char* name : {kSeenScenesFile, kSingleViewUnitFile}) {
+    if (std::filesystem::is_regular_file(from.folder() / name))
+      copy_file_atomically(from.folder() / name, to / name);
+  }
 }
 
 void note_what_was_trained_on(const ModelBundle& bundle, const std::vector<BundlePart>& made) {

@@ -242,9 +242,9 @@ TEST_F(PhotographSampling, OnePhotographIsKeptInItsOrbit) {
   EXPECT_NEAR(report.at("depth_scale").at("scale").get<double>(), 1, 0.3);
 }
 
-// Rooms that are drawn are in metres, and so is the unit that is usual for the shipped model: a single source is
-// carried by it. Of a scene in another unit nothing is known.
-TEST_F(PhotographSampling, OneSourceIsCarriedInTheUsualUnit) {
+// Rooms that are drawn are in metres, and so is the unit that the shipped model guesses: a single source is carried by
+// it. Of a scene in another unit nothing is known.
+TEST_F(PhotographSampling, OneSourceIsCarriedInAGuessedUnit) {
   auto asked = with_shipped_model(options("one_source"));
   asked.views.sources = {0};
   asked.views.targets = {1};
@@ -254,7 +254,7 @@ TEST_F(PhotographSampling, OneSourceIsCarriedInTheUsualUnit) {
            std::string::npos;
   };
   EXPECT_TRUE(kept(run(asked)));
-  EXPECT_THAT(printed_, HasSubstr("the geometry head's, in the unit that is usual for the model"));
+  EXPECT_THAT(printed_, HasSubstr("the geometry head's, in a unit that the model guesses"));
   const auto cameras = std::filesystem::path(asked.scene) / "cameras.json";
   auto text = read_file(cameras);
   const auto at = text.find("\"metres\"");

@@ -5,6 +5,7 @@
 #include "models/scene_geometry/source_warp.h"
 #include "tests/support/textured_plane.h"
 
+#include <cmath>
 #include <memory>
 #include <vector>
 
@@ -127,6 +128,46 @@ TEST(SourceConditioning, ASingleSourceIsCarriedInTheUnitThatIsGuessed) {
   ASSERT_EQ(right.levels.size(), 2U);
   EXPECT_LT((right.levels[1] - by_truth.levels[1]).abs().max().item<double>(), 1e-3);
   EXPECT_GT((wrong.levels[1] - by_truth.levels[1]).abs().max().item<double>(), 0.1);
+}
+
+// What the view suggests is asked of one view alone, and depends on it.
+TEST(SourceConditioning, TheUnitIsGuessedOfASingleView) {
+  const torch::NoGradGuard no_grad;
+  const LatentSpace space = small_space();
+  ConditioningNeeds needs;
+  needs.head_depth = true;
+  for (const int64_t sources : {1, 2}) {
+    SourceScene scene = plane_scene();
+    scene.views.num_sources = sources;
+    scene.images = scene.images.narrow(0, 0, sources);
+    PlaneHead head(scene);
+    const auto encoded = encode_sources(space, scene.images, needs);
+    EXPECT_FALSE(source_geometry(head, encoded).single_view);
+    const Camera& camera = scene.views.cameras.front();
+    const auto look =
+        look_of_view(encoded.for_geometry.levels.front()[0], source_geometry(head, encoded).depth[0]);
+    const auto features = single_view_features(look, camera);
+    auto unit = std::make_shared<SingleViewUnit>();
+    unit->mean = torch::zeros_like(features);
+    unit->deviation = torch::ones_like(features);
+    unit->weights = features / features.square().sum();
+    unit->offset = 0.5;
+    unit->least = -10;
+    unit->largest = 10;
+    unit->log_deviation = 0.2;
+    head.guess_unit_by(unit);
+    const auto view = source_geometry(head, encoded).single_view;
+    ASSERT_EQ(view.has_value(), sources == 1);
+    if (!view) continue;
+    EXPECT_NEAR(view->guess(camera).metres, std::exp(1.5), 1e-6);
+    EXPECT_EQ(view->guess(camera).log_deviation, 0.2);
+    // A view of twice the focal length shows half as wide a place.
+    unit->weights.zero_();
+    unit->weights[-1] = 1;
+    Camera narrow = camera;
+    narrow.intrinsics(0, 0) *= 2;
+    EXPECT_NEAR(view->guess(narrow).metres, 2 * view->guess(camera).metres, 1e-9);
+  }
 }
 
 TEST(SourceConditioning, NothingIsCarriedForModelsThatTakeNothingOrBySingleSourcesOfUnknownUnit) {

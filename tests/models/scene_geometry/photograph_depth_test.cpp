@@ -128,6 +128,21 @@ TEST(PhotographDepth, OfOnePhotographTheHeadsDepthStaysAsItIs) {
   for (size_t i = 0; i < truth[0].depth.values.size(); ++i)
     ASSERT_NEAR(guessed.depth.views[0].values[i], truth[0].depth.values[i], 1e-4) << i;
   EXPECT_EQ(guessed.head[0].values, guessed.depth.views[0].values);
+
+  // What the view suggests takes the place of what is usual, but not where the unit is not the metre.
+  SingleViewUnit unit;
+  unit.mean = torch::zeros({2}, torch::kFloat64);
+  unit.deviation = torch::ones({2}, torch::kFloat64);
+  unit.weights = torch::zeros({2}, torch::kFloat64);
+  unit.offset = unit.least = unit.largest = std::log(5);
+  plane.head.single_view =
+      SingleView{std::make_shared<const SingleViewUnit>(unit), torch::zeros({1}, torch::kFloat64)};
+  const PhotographDepth suggested = plane.found(options);
+  EXPECT_EQ(suggested.depth.from, "geometry head, in the unit that its view suggests");
+  for (size_t i = 0; i < truth[0].depth.values.size(); ++i)
+    ASSERT_NEAR(suggested.depth.views[0].values[i], 2 * truth[0].depth.values[i], 2e-4) << i;
+  options.single_source_unit = 0;
+  EXPECT_FALSE(plane.found(options).depth.known());
 }
 
 // The depth of one photograph too, whose head smears an edge of the picture.

@@ -1,5 +1,6 @@
 #include "gld/base/atomic_file.h"
 #include "models/bundle/random_bundle.h"
+#include "models/bundle/view_unit_file.h"
 #include "tests/support/forked_processes.h"
 #include "tests/support/temporary_folder.h"
 #include "tests/train/small_training.h"
@@ -23,7 +24,7 @@ TEST(DistributedStatistics, OneTwoAndThreeProcessesGiveTheSameBits) {
       StatsOptions options;
       options.model = (folder.path() / "model").string();
       options.out = (folder.path() / std::to_string(count)).string();
-      options.scene_count = 7;  // not the last batch's second scene
+      options.scene_count = 17;  // not the last batch's second scene
       options.data = test::small_data();
       options.data.loading.batch_size = 2;
       options.processes = processes;
@@ -43,7 +44,18 @@ TEST(DistributedStatistics, OneTwoAndThreeProcessesGiveTheSameBits) {
   const auto report = nlohmann::json::parse(read_file(folder.path() / "1" / "report.json"));
   EXPECT_EQ(report.at("single_source_unit").at("metres"), options.single_source_unit);
   EXPECT_EQ(report.at("single_source_unit").at("log_deviation"), options.single_source_unit_deviation);
-  EXPECT_EQ(report.at("single_source_unit").at("scenes"), 7);
+  EXPECT_EQ(report.at("single_source_unit").at("scenes"), 17);
+  const auto unit_of = [&](const char* run) {
+    return read_single_view_unit(ModelBundle::open(folder.path() / run / "model"));
+  };
+  const auto unit = unit_of("1");
+  ASSERT_NE(unit, nullptr);
+  EXPECT_NEAR(report.at("single_source_unit").at("log_deviation_by_view").get<double>(), unit->log_deviation,
+              1e-4);
+  for (const char* run : {"2", "3"}) {
+    EXPECT_NEAR(unit_of(run)->log_deviation, unit->log_deviation, 1e-5);
+    EXPECT_TRUE(torch::allclose(unit_of(run)->weights, unit->weights, 1e-3, 1e-6));
+  }
 }
 
 }  // namespace
