@@ -7,7 +7,7 @@
 #                                                parts together in RUNS/model and measures it; the run itself is unharmed
 #   scripts/train_tiny.sh keep [RUNS [DEVICE]]   copies the weights and curves so far beside the recipe, for git: another
 #                                                machine goes on from them
-# RUNS is runs/tiny by default, DEVICE cpu. RUNS/kept_scenes, some 10 GB of rooms and latents, spares drawing them again.
+# RUNS is runs/tiny by default, DEVICE cpu. RUNS/kept_scenes, up to 40 GB of rooms and what is made of them, spares making them again.
 # The recipe is configs/tiny/next (the model that is to take the place of
 # configs/tiny) where there is one, else configs/tiny. Weights that lie beside the recipe are gone on with where RUNS has
 # no checkpoints: a backbone with its statistics is taken as it is, everything else starts from them.
@@ -85,6 +85,13 @@ prepare_level() {
   cp "$base"/*.safetensors "$recipe/model.yaml" "$level_base/"
   if [ -f "$base/seen_scenes.json" ]; then cp "$base/seen_scenes.json" "$level_base/"; fi
   cp "$head/dpt_head.safetensors" "$level_base/"
+  # The unit of a single view belongs to this head, which is not the one that gld stats saw.
+  if [ "$head" != "$recipe" ]; then
+    if [ "$action" = train ] && [ ! -f "$runs/unit/report.json" ]; then
+      "$gld" stats --config "$recipe/stats.yaml" --model "$level_base" --scene-count 2048 --out "$runs/unit" --overwrite --device "$device"
+    fi
+    if [ -f "$runs/unit/report.json" ]; then cp "$runs/unit/model/single_view_unit.safetensors" "$level_base/"; fi
+  fi
   if [ "$level_start" != - ]; then cp "$recipe/level1.safetensors" "$level_base/"; fi
 }
 prepare_level
@@ -137,9 +144,7 @@ if [ "$action" = ship ]; then
   cp "$runs/level_$step/model/level1.safetensors" "$runs/blending/model"/{depth_refinement,blending}.safetensors "$level_base/dpt_head.safetensors" \
     "$recipe/model.yaml" "$runs/model/"
   cp -r "$runs/level_$step" "$runs/level_ship"
-  # The unit of a single view belongs to the head that is shipped, which is not the one that gld stats saw.
-  "$gld" stats --config "$recipe/stats.yaml" --model "$runs/model" --scene-count 2048 --out "$runs/unit" --overwrite --device "$device"
-  cp "$runs/unit/model/single_view_unit.safetensors" "$runs/model/"
+  cp "$level_base/single_view_unit.safetensors" "$runs/model/"
   "$gld" eval --model "$runs/model" --synthetic 64 --out "$runs/eval" --device "$device"
   echo "train_tiny: the model is in $runs/model; scripts/ship_tiny.sh $runs puts it into configs/tiny."
   exit 0
@@ -196,7 +201,7 @@ beside_level() {
   # The head that carries photographs into target views is M1's.
   rm -rf "$runs/cascade_base"
   cp -r "$runs/decoder/model" "$runs/cascade_base"
-  cp "$level_base/dpt_head.safetensors" "$runs/cascade_base/"
+  cp "$level_base"/{dpt_head,single_view_unit}.safetensors "$runs/cascade_base/"
   stage cascade cascade "$runs/cascade_base" "$(start_of cascade objective.flow.start=bundle)" --threads 1
 }
 level_is_alone() {

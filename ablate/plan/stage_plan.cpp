@@ -265,7 +265,7 @@ class Planner {
 
   // What the ablation gives each stage itself.
   static void refuse_own(const OptionSetting& setting) {
-    for (const char* own : {"out", "overwrite", "resume", "model"}) {
+    for (const char* own : {"out", "overwrite", "resume", "model", "kept_scenes"}) {
       if (setting.key != own) continue;
       fail({setting.where + ", key '" + setting.key + "'", "an option that changes a result",
             "one that the ablation sets itself",

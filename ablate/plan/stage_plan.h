@@ -29,7 +29,7 @@ struct StageTask {
   std::vector<size_t> needs;  // tasks that must be done before, by their number
   bool takes_model = false;
   bool takes_threads = false;
-  bool takes_kept_scenes = false;  // a training on scenes (train/data/kept_folder.h)
+  bool takes_kept_scenes = false;                     // a training on scenes (train/data/kept_folder.h)
   std::filesystem::path base_model;                   // the bundle it takes where no stage makes one
   std::optional<size_t> model;                        // the task that makes the bundle it takes
   std::vector<size_t> parts;                          // assemble: tasks whose trained parts are taken

@@ -1,8 +1,10 @@
 #include "ablate/run/assembled_bundle.h"
 
+#include "gld/base/atomic_file.h"
 #include "gld/base/atomic_folder.h"
 #include "gld/base/sha256.h"
 #include "models/bundle/bundle.h"
+#include "models/bundle/view_unit_file.h"
 
 #include <algorithm>
 #include <string>
@@ -45,6 +47,18 @@ BundleOptions with_measured_unit(BundleOptions options, const ModelBundle& first
   return options;
 }
 
+// Returns the folders that guess a unit by the view, those that were made last first.
+std::vector<fs::path> folders_with_unit(const fs::path& from, const std::vector<fs::path>& others) {
+  std::vector<fs::path> folders;
+  for (auto other = others.rbegin(); other != others.rend(); ++other) folders.push_back(*other);
+  folders.push_back(from);
+  const auto without = [](const fs::path& folder) {
+    return !fs::is_regular_file(folder / kSingleViewUnitFile);
+  };
+  folders.erase(std::remove_if(folders.begin(), folders.end(), without), folders.end());
+  return folders;
+}
+
 }  // namespace
 
 void assemble_bundle(const BundleOptions& options, const fs::path& from, const std::vector<fs::path>& others,
@@ -64,6 +78,12 @@ void assemble_bundle(const BundleOptions& options, const fs::path& from, const s
       if (sha256_of_file(other / name) != hash_of_first) chosen = other / name;
     }
     if (!chosen.empty()) link_or_copy(chosen, assembled.file(part));
+  }
+  // Of the backbone and head that were chosen, or it counts for nothing.
+  for (const fs::path& other : folders_with_unit(from, others)) {
+    copy_file_atomically(other / kSingleViewUnitFile, folder.temporary() / kSingleViewUnitFile);
+    if (read_single_view_unit(assembled) != nullptr) break;
+    fs::remove(folder.temporary() / kSingleViewUnitFile);
   }
   const fs::path conversion = "conversion.json";
   if (fs::is_regular_file(from / conversion))

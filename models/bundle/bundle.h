@@ -84,8 +84,8 @@ class ModelBundle {
   // place, page by page. It is 0 for a part that is missing.
   int64_t converted_bytes(const BundlePart& part) const;
 
-  // Returns the module with its weights, in the placement's dtype whatever the file's is; a geometry head with what guesses
-  // its unit of one view (view_unit_file.h).
+  // Returns the module with its weights, in the placement's dtype whatever the file's is; a geometry head with what
+  // guesses its unit of one view (view_unit_file.h).
   std::shared_ptr<Backbone> load_backbone(const ParameterPlacement& placement = {}) const;
   std::shared_ptr<GeometryHead> load_geometry_head(const ParameterPlacement& placement = {}) const;
   std::shared_ptr<RgbDecoder> load_rgb_decoder(const ParameterPlacement& placement = {}) const;
@@ -102,9 +102,8 @@ class ModelBundle {
   // are as many channels as the backbone's levels have. It loads those of special tokens too where it generates those.
   LevelStatistics load_statistics(const LevelGenerator& generator) const;
 
-  // Returns the SHA-256 over the names and contents of model.yaml, the parts and what guesses the unit of a single view,
-  // 64 hexadecimal digits. Reads every
-  // file.
+  // Returns the SHA-256 over the names and contents of model.yaml, the parts and what guesses the unit of a single
+  // view, 64 hexadecimal digits. Reads every file.
   std::string content_hash() const;
 
  private:

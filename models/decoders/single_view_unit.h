@@ -26,12 +26,12 @@ struct SingleViewUnit {
   double log_deviation = 0;       // of a scene from what all others say of it
 };
 
-// Returns what the guess is made of beside the camera, float64: the mean of the view's patch tokens of the shallowest level
-// (tokens, channels), and the logarithm of the head's depth (height, width) in 8x8 cells.
+// Returns what the guess is made of beside the camera, float64: the mean of the view's patch tokens of the shallowest
+// level (tokens, channels), and the logarithm of the head's depth (height, width) in 8x8 cells.
 torch::Tensor look_of_view(const torch::Tensor& patches, const torch::Tensor& depth);
 
-// Returns all of it, (features): that, and the logarithm of the camera's focal length in widths of its picture. A narrow
-// view of a small thing looks like a wide one of a large thing.
+// Returns all of it, (features): that, and the logarithm of the camera's focal length in widths of its picture. A
+// narrow view of a small thing looks like a wide one of a large thing.
 torch::Tensor single_view_features(const torch::Tensor& look, const Camera& camera);
 
 UnitGuess guessed_unit(const SingleViewUnit& unit, const torch::Tensor& features);
@@ -46,8 +46,8 @@ struct SingleView {
   }
 };
 
-// features is (scenes, features), log_units one a scene; there are at least three scenes. The penalty is that among powers of ten
-// with which each scene is told best by all others, for which no fit has to be made again (Allen 1974).
+// features is (scenes, features), log_units one a scene; there are at least three scenes. The penalty is that among
+// powers of ten with which each scene is told best by all others, for which no fit has to be made again (Allen 1974).
 SingleViewUnit fit_single_view_unit(const torch::Tensor& features, const std::vector<double>& log_units);
 
 }  // namespace gld

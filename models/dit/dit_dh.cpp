@@ -342,20 +342,21 @@ torch::Tensor DitDh::velocity_features(const DitPasses& passes, const DitNoisyTo
 torch::Tensor DitDh::with_estimate(const DitPasses& passes, const torch::Tensor& features) const {
   const int64_t views = passes.front().scene->grid.views, tokens = features.size(1);
   const auto plain = features.options().requires_grad(false);
-  std::vector<torch::Tensor> deviations, guesses, noisy_shares;
+  std::vector<torch::Tensor> own_shares, guesses, noisy_shares;
   for (const DitPass& pass : passes) {
     const double time = pass.time->time, rest = 1 - time;
     const bool guessed = pass.branch == DitBranch::kConditional && pass.scene->guess_trust.defined();
     const auto precision =
         guessed ? pass.scene->guess_trust / options_.carried_error : torch::zeros({views, tokens, 1}, plain);
     const auto all = time * time * (1 + precision) + rest * rest;
-    deviations.push_back(time / all.sqrt());
-    guesses.push_back(guessed ? time * time * precision / all * pass.scene->guess_features
+    // Of (x_t - x) / t, which has no t left to divide by.
+    own_shares.push_back(-1 / all.sqrt());
+    guesses.push_back(guessed ? -time * precision / all * pass.scene->guess_features
                               : torch::zeros({views, tokens, options_.in_channels}, plain));
-    noisy_shares.push_back(rest / all);
+    noisy_shares.push_back((time * (1 + precision) - rest) / all);
   }
-  const auto deviation = torch::cat(deviations);
-  return torch::cat({features * deviation, deviation, torch::cat(guesses), torch::cat(noisy_shares)}, 2);
+  const auto own = torch::cat(own_shares);
+  return torch::cat({features * own, own, torch::cat(guesses), torch::cat(noisy_shares)}, 2);
 }
 
 torch::Tensor DitDh::with_first_guess(const DitPasses& passes, const torch::Tensor& features) const {
@@ -402,9 +403,9 @@ torch::Tensor DitDh::velocity_from_features(const torch::Tensor& features, const
     // The layer adds its whole bias; only the network's share of it counts (1 for special tokens).
     output = output_of(features.narrow(2, 0, width).contiguous()) + (own - 1) * final_layer_->bias();
     constexpr double kSmallestTime = 1e-12;  // where the share of the guess is 0
-    output = of_data ? output + guess : output + (1 - own) / std::max(time, kSmallestTime) * noisy - guess;
     if (options_.carried_guess == CarriedGuess::kCorrected)
-      output = output + features.narrow(2, width + 1 + options_.in_channels, 1) * noisy;
+      return output + guess + features.narrow(2, width + 1 + options_.in_channels, 1) * noisy;
+    output = of_data ? output + guess : output + (1 - own) / std::max(time, kSmallestTime) * noisy - guess;
   }
   if (!of_data) return output;
   // x_t = (1 - t) data + t noise, so that v = noise - data = (x_t - data) / t.

@@ -40,11 +40,13 @@ enum class ActivationStorage { kKeep, kRecompute };
 // unconditional branch has m = 0.
 //
 // In a mixture the network cannot correct what is trusted: at t = 1 its share is 1 - trust. With
-// CarriedGuess::kCorrected all guesses are taken together, the latent's own mean 0 and variance 1, w with s^2 / trust and
-// x_t / (1 - t): their best linear estimate has the variance
+// CarriedGuess::kCorrected all guesses are taken together, the latent's own mean 0 and variance 1, w with s^2 / trust
+// and x_t / (1 - t): their best linear estimate has the variance
 //   sigma^2 = t^2 / D, D = t^2 (1 + trust / s^2) + (1 - t)^2,
 // and x = (t^2 trust / s^2 w + (1 - t) x_t) / D + sigma F, so that F has to have variance 1 at every t and everywhere
-// (the preconditioning of Karras et al. 2022, table 1, with one more guess). Branches and views without w have trust 0.
+// (the preconditioning of Karras et al. 2022, table 1, with one more guess). The velocity (x_t - x) / t is
+//   ((t (1 + trust / s^2) - (1 - t)) x_t - t trust / s^2 w) / D - F / sqrt(D),
+// which needs no bound of 1/t. Branches and views without w have trust 0.
 //
 // Latents are (views, tokens, channels), special tokens first. Every function records gradients unless the caller holds
 // a NoGradGuard.
@@ -78,7 +80,8 @@ class DitDh : public torch::nn::Module {
   // Returns the features of models without carried_error as they are; of models with it, features scaled by 1 - m, and
   // behind them 1 - m and m w (of a predicted velocity m w / t), (passes * views, tokens, decoder width + 1 +
   // channels), in which the mixture is linear, so that branches can be mixed as features are. Of kCorrected these are
-  // scaled by sigma, sigma, and the shares of w and (one more channel) of x_t in the estimate.
+  // the parts of the velocity: features scaled by -1 / sqrt(D), that factor, the part of w, and (one more channel) the
+  // factor of x_t.
   torch::Tensor with_first_guess(const DitPasses& passes, const torch::Tensor& features) const;
   // Applies the last linear layer, which is affine in the features: (views, tokens, channels). noisy, the latent at
   // that time, is where the velocity of a model that predicts the data starts from; branches mixed before need it once.

@@ -62,8 +62,10 @@ void DitOptions::visit(FieldVisitor& visitor) {
   visitor.reals({"pixel_offset", "where in a pixel its ray starts, [x, y]"}, pixel_offset, {-10, 10});
   visit_choice(visitor, {"prediction", "what the last layer gives; the velocity of data follows from it"},
                prediction, {"velocity", "data"});
-  visitor.real({"largest_inverse_time", "prediction of data: bound of 1/t where the velocity is formed"},
-               largest_inverse_time, {1, 1000});
+  visitor.real(
+      {"largest_inverse_time",
+       "prediction of data: bound of 1/t where the velocity is formed; carried_guess: corrected needs none"},
+      largest_inverse_time, {1, 1000});
   visitor.integer(
       {"warped_sources",
        "photographs carried into each target view by their depth, as one more input; 0: none, as published"},

@@ -37,8 +37,8 @@ std::vector<PlanarDepth> depth_in_unit(const GeometryOutput& geometry, int64_t v
 // source_geometry is depth and rays, (sources, height, width ...); source_images are (sources, 3, height, width) in [0,
 // 1]. Nothing tells the unit of a single source. single_source_unit is a guess of it, in the cameras' unit (0: none),
 // of what is usual where a model was trained (BundleOptions::unit_of_single_source): of 60 drawn rooms that it is not
-// of, the nearest photograph as it is has 15.8 dB, carried so and filled 20.0, in the true unit 21.1. Where there is one,
-// source_geometry.single_view takes its place, which knows the view.
+// of, the nearest photograph as it is has 15.8 dB, carried so and filled 20.0, in the true unit 21.1. Where there is
+// one, source_geometry.single_view takes its place, which knows the view.
 SourceDepth source_depth_of_head(const Views& views, const torch::Tensor& source_images,
                                  const GeometryOutput& source_geometry, double single_source_unit);
 

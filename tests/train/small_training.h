@@ -1,12 +1,15 @@
 #pragma once
 
+#include "gld/tensors/weight_tensors.h"
 #include "models/backbones/da3_backbone.h"
 #include "models/bundle/bundle_options.h"
 #include "models/decoders/dpt_head.h"
+#include "train/data/kept_folder.h"
 #include "train/data/training_data.h"
 #include "train/loop/training_loop.h"
 
 #include <filesystem>
+#include <string>
 
 namespace gld::test {
 
@@ -74,6 +77,17 @@ inline TrainingLoopOptions two_steps() {
   options.validate_every = 1;
   options.learning_rate.peak = 1e-3;
   return options;
+}
+
+// Makes another thing of every file of a KeptFolder: that part times two.
+inline void double_kept(const std::filesystem::path& folder, const std::string& part) {
+  for (const auto& entry : std::filesystem::recursive_directory_iterator(folder)) {
+    if (!entry.is_regular_file()) continue;
+    KeptTensors tensors;
+    for (const auto& [name, tensor] : read_all(entry.path())) tensors[name] = tensor.clone();
+    if (tensors.count(part) > 0) tensors[part] = tensors[part] * 2;
+    save_safetensors(entry.path(), tensors);
+  }
 }
 
 // Two steps of any kind of training.

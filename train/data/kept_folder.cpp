@@ -5,6 +5,8 @@
 #include "gld/tensors/weight_tensors.h"
 
 #include <atomic>
+#include <cstdint>
+#include <exception>
 #include <iostream>
 
 #include <fmt/format.h>
@@ -14,6 +16,8 @@ namespace {
 
 // A safetensors file without a tensor is none.
 constexpr const char* kNothing = "nothing";
+// Bytes that are left to checkpoints and whatever else there is.
+constexpr uintmax_t kSpaceForOthers = uintmax_t{4} << 30;
 
 const std::string& this_executable() {
   static const std::string hash = sha256_of_file("/proc/self/exe");
@@ -42,7 +46,8 @@ std::filesystem::path KeptFolder::file_of(const std::string& key) const {
 
 std::optional<KeptThing> KeptFolder::find(const std::string& key) const {
   const auto file = file_of(key);
-  if (!std::filesystem::is_regular_file(file)) return std::nullopt;
+  std::error_code unreadable;
+  if (!std::filesystem::is_regular_file(file, unreadable)) return std::nullopt;
   try {
     const auto opened = WeightFile::open(file);
     KeptThing thing;
@@ -51,8 +56,8 @@ std::optional<KeptThing> KeptFolder::find(const std::string& key) const {
       if (entry.name != kNothing) thing.tensors[entry.name] = read_tensor(*opened, entry);
     }
     return thing;
-  } catch (const Error&) {
-    return std::nullopt;  // it is written anew
+  } catch (const std::exception&) {
+    return std::nullopt;  // it is made anew
   }
 }
 
@@ -60,6 +65,8 @@ void KeptFolder::keep(const std::string& key, const KeptThing& thing) const {
   static std::atomic<bool> failed{false};
   if (failed) return;
   try {
+    if (std::filesystem::space(folder_).available < kSpaceForOthers)
+      fail({folder_.string(), "4 GiB of free space", "less", "make room, or train without --kept-scenes"});
     KeptTensors tensors = thing.tensors;
     if (tensors.empty()) tensors[kNothing] = torch::zeros({1}, torch::kUInt8);
     const auto file = file_of(key);

@@ -29,16 +29,16 @@ SceneLatents SceneLatents::to(torch::Device device) const {
   return result;
 }
 
-KeptLatents::KeptLatents(double gib) : kept_(gib) {}
+KeptLatents::KeptLatents(double gib) : type_(gib > 0 ? torch::kFloat16 : torch::kFloat32), kept_(gib) {}
 
 SceneLatents KeptLatents::get(const TrainingScene& scene, const std::function<SceneLatents()>& encode) {
-  const KeptTensors kept = kept_.get(scene, "latents", [&] {
+  const KeptTensors kept = kept_.get(scene, type_ == torch::kFloat16 ? "latents" : "whole latents", [&] {
     SceneLatents latents = encode();
-    KeptTensors rounded;
+    KeptTensors tensors;
     for (const NamedPart& part : parts_of(latents)) {
-      if (part.tensor->defined()) rounded[part.name] = part.tensor->to(torch::kCPU, torch::kFloat16);
+      if (part.tensor->defined()) tensors[part.name] = part.tensor->to(torch::kCPU, type_);
     }
-    return rounded;
+    return tensors;
   });
   SceneLatents latents;
   latents.shown.views = scene.views;

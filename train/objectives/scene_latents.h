@@ -20,8 +20,9 @@ struct SceneLatents {
 };
 
 // Keeps the latents of scenes for the next time they are trained on: encoding them costs as much as a training step
-// of a small model. They are kept in float16, and the first use gets the rounded ones as well, so that a run does not
-// depend on what an earlier process has kept.
+// of a small model. In memory they are kept in float16, and the first use gets the rounded ones as well, so that a run
+// does not depend on what an earlier process has kept. Where none are kept in memory, a folder has them as they are: it
+// changes nothing either.
 class KeptLatents {
  public:
   // gib bounds their memory; past it scenes are encoded every time. 0 keeps none.
@@ -34,7 +35,8 @@ class KeptLatents {
   SceneLatents get(const TrainingScene& scene, const std::function<SceneLatents()>& encode);
 
  private:
-  KeptScenes kept_;  // float16
+  torch::Dtype type_;
+  KeptScenes kept_;
 };
 
 }  // namespace gld

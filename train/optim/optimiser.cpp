@@ -45,7 +45,7 @@ double norm_in_pieces(const torch::Tensor& flat) {
   return torch::linalg_vector_norm(torch::stack(norms), 2).item<double>();
 }
 
-// Returns the multiplications of five Newton-Schulz steps of that matrix, in products of its shorter side with itself.
+// Returns the multiplications of a Newton-Schulz step of that matrix.
 double newton_schulz_products(const torch::Tensor& matrix) {
   const auto shorter = static_cast<double>(std::min(matrix.size(0), matrix.size(1)));
   const auto longer = static_cast<double>(std::max(matrix.size(0), matrix.size(1)));

@@ -57,8 +57,9 @@ class Optimiser {
   // Returns the L2 norm of all gradients, not of the own ones alone, accumulated in double; it does not depend on the
   // number of threads.
   double gradient_norm() const;
-  // Does one update with the gradients clipped from gradient_norm to clip_norm, then the moving average. Several workers
-  // share Muon's matrices, where LibTorch's threads were divided among them; their number changes no bit.
+  // Does one update with the gradients clipped from gradient_norm to clip_norm, then the moving average. Several
+  // workers share Muon's matrices, where LibTorch's threads were divided among them; with a thread for each, their
+  // number changes no bit.
   void step(double learning_rate, double gradient_norm, int64_t workers = 1);
 
   int64_t steps_taken() const { return steps_; }

@@ -140,9 +140,9 @@ std::string train_depth(const TrainDepthOptions& options, const DrawValidation& 
     auto objective = std::make_unique<DepthRefinementObjective>(
         bundle.options(), options.objective, bundle.load_backbone(placement),
         bundle.load_geometry_head(placement), options.loop.seed);
-    objective->keep_in(
-        kept_scene_folder(options, bundle, {BundlePart::backbone(), BundlePart::geometry_head()},
-                          fmt::format("lessons of depth\nside {}", bundle.options().depth_refinement.side)));
+    objective->keep_in(kept_scene_folder(
+        options, bundle, {BundlePart::backbone(), BundlePart::geometry_head()}, placement.device,
+        fmt::format("lessons of depth\nside {}", bundle.options().depth_refinement.side)));
     if (options.objective.start == ModelStart::kBundle) objective->start_from(bundle.load_depth_refinement());
     return objective;
   };
@@ -167,7 +167,7 @@ std::string train_blending(const TrainBlendingOptions& options, const DrawValida
     objective->keep_in(kept_scene_folder(
         options, bundle,
         {BundlePart::backbone(), BundlePart::geometry_head(), BundlePart::depth_refinement()},
-        "candidates of blending"));
+        placement.device, "candidates of blending"));
     if (options.objective.start == ModelStart::kBundle) objective->start_from(bundle.load_blending());
     return objective;
   };

@@ -95,7 +95,7 @@ struct MeasuredView {
   std::vector<double> features;  // single_view_features()
 };
 
-// Returns it of a scene's first view, and nothing where no pixel tells the unit.
+// Returns it of a scene's first view, and nothing where no pixel tells the unit or something is not finite.
 std::optional<MeasuredView> measured_view(const LatentSpace& space, const GeometryHead& head,
                                           const TrainingScene& scene) {
   ConditioningNeeds needs;
@@ -109,17 +109,18 @@ std::optional<MeasuredView> measured_view(const LatentSpace& space, const Geomet
                          .logical_and(torch::isfinite(depth))
                          .logical_and(depth > 0);
   if (!known.any().item<bool>()) return std::nullopt;
-  MeasuredView view;
-  view.log_unit =
-      (truth.masked_select(known).log() - depth.masked_select(known).log()).median().item<double>();
   const auto features = single_view_features(look_of_view(encoded.for_geometry.levels.front()[0], said[0]),
                                              scene.views.cameras.front())
                             .contiguous();
+  if (!torch::isfinite(features).all().item<bool>()) return std::nullopt;
+  MeasuredView view;
+  view.log_unit =
+      (truth.masked_select(known).log() - depth.masked_select(known).log()).median().item<double>();
   view.features.assign(features.data_ptr<double>(), features.data_ptr<double>() + features.numel());
   return view;
 }
 
-// Returns the guess that these views allow, and nothing where they are too few to tell or not finite.
+// Returns the guess that these views allow, and nothing where they are too few to tell.
 std::optional<SingleViewUnit> fitted_unit(const std::vector<MeasuredView>& views) {
   constexpr size_t kFewestViews = 16;
   if (views.size() < kFewestViews) return std::nullopt;
@@ -129,9 +130,7 @@ std::optional<SingleViewUnit> fitted_unit(const std::vector<MeasuredView>& views
     features.push_back(torch::tensor(view.features, torch::kFloat64));
     log_units.push_back(view.log_unit);
   }
-  const auto all = torch::stack(features);
-  if (!torch::isfinite(all).all().item<bool>()) return std::nullopt;
-  return fit_single_view_unit(all, log_units);
+  return fit_single_view_unit(torch::stack(features), log_units);
 }
 
 void tell_narrow_decoder(const GeneratorOptions& part) {
@@ -175,7 +174,7 @@ namespace {
 // Where latents of that generator are kept for other runs.
 std::shared_ptr<const KeptFolder> kept_latent_folder(const TrainOptions& options, const ModelBundle& bundle,
                                                      const LevelGenerator& generator,
-                                                     CarryingDepth carried_by) {
+                                                     CarryingDepth carried_by, const torch::Device& device) {
   std::vector<BundlePart> frozen = {BundlePart::backbone(), BundlePart::geometry_head(),
                                     BundlePart::depth_refinement(), BundlePart::statistics(generator.level),
                                     BundlePart::special_statistics(generator.level)};
@@ -184,7 +183,7 @@ std::shared_ptr<const KeptFolder> kept_latent_folder(const TrainOptions& options
     frozen.push_back(BundlePart::special_statistics(*generator.deeper));
   }
   const DitOptions& dit = bundle.options().generator(generator).dit;
-  return kept_scene_folder(options, bundle, frozen,
+  return kept_scene_folder(options, bundle, frozen, device,
                            fmt::format("latents of {}\nspecial tokens {}, warped sources {}, carried by {}",
                                        generator_name(generator), dit.num_special_tokens, dit.warped_sources,
                                        static_cast<int>(carried_by)));
@@ -218,7 +217,8 @@ std::string train_level(const TrainLevelOptions& options, const DrawValidation& 
         bundle.options(), options.level, options.objective,
         frozen_parts(bundle, generator, placement, options.objective.carried_by), placement,
         options.loop.seed);
-    objective->keep_in(kept_latent_folder(options, bundle, generator, options.objective.carried_by));
+    objective->keep_in(
+        kept_latent_folder(options, bundle, generator, options.objective.carried_by, placement.device));
     if (options.objective.start == ModelStart::kBundle) {
       objective->start_from(*bundle.load_generator(generator, placement));
     }
@@ -244,7 +244,8 @@ std::string train_cascade(const TrainCascadeOptions& options, const DrawValidati
         bundle.options(), generator, options.objective,
         frozen_parts(bundle, generator, placement, options.objective.flow.carried_by), placement,
         options.loop.seed);
-    objective->keep_in(kept_latent_folder(options, bundle, generator, options.objective.flow.carried_by));
+    objective->keep_in(
+        kept_latent_folder(options, bundle, generator, options.objective.flow.carried_by, placement.device));
     if (options.objective.flow.start == ModelStart::kBundle) {
       objective->start_from(*bundle.load_generator(generator, placement));
     }
@@ -386,6 +387,8 @@ std::string compute_statistics(const StatsOptions& options) {
   }
   const auto with_statistics = ModelBundle::open(made);
   note_what_was_trained_on(with_statistics, parts);
+  // An earlier one is not of these scenes.
+  std::filesystem::remove(made / kSingleViewUnitFile);
   if (unit) write_single_view_unit(with_statistics, *unit);
   SeenScenes seen = seen_scenes(moments, of_scenes, model.latent_epsilon);
   seen.drawn = options.data.scenes.empty();

@@ -52,9 +52,10 @@ std::string train_cascade(const TrainCascadeOptions& options, const DrawValidati
 // gld stats: latent statistics of every level that the model generates over training scenes, all views of a scene
 // encoded together; of special tokens too where it generates them; and of drawn scenes, which are in metres, the unit
 // of the geometry head (BundleOptions::single_source_unit and its deviation). model/ in the run folder is a copy of
-// the bundle with them. Several processes take a batch each in turns; the result is the same to the bit, but for what the
-// head says of single views, which is to the sixth digit (single_view_unit.safetensors). Returns the
-// closing box as text, an empty one where another process writes the run folder.
+// the bundle with them, and with single_view_unit.safetensors where 16 scenes or more have a view that tells a unit
+// (models/bundle/view_unit_file.h). Several processes take a batch each in turns; the result is the same to the bit,
+// but for that file, whose last digits follow the head's. Returns the closing box as text, an empty one where another
+// process writes the run folder.
 std::string compute_statistics(const StatsOptions& options);
 
 }  // namespace gld

@@ -15,6 +15,7 @@
 #include "gld/report/run_folder.h"
 #include "gld/tensors/compute_threads.h"
 #include "gld/tensors/device.h"
+#include "gld/tensors/torch_version.h"
 #include "models/bundle/part_lineage.h"
 #include "models/bundle/seen_scenes.h"
 #include "models/bundle/trained_views.h"
@@ -99,15 +100,15 @@ void TrainOptions::visit_data(FieldVisitor& visitor) {
   visitor.group({"data", "what to train on"}, data);
   visitor.text(
       {"kept_scenes",
-       "folder where drawn rooms that come again, and what frozen parts make of scenes, are kept for "
-       "other runs of this build; none keeps them in memory alone"},
+       "folder where rooms, and what frozen parts make of scenes, are kept for other runs of this build, as "
+       "far as they come again (data.distinct_batches)"},
       kept_scenes);
 }
 
 std::shared_ptr<const KeptFolder> kept_scene_folder(const TrainOptions& options, const ModelBundle& bundle,
                                                     const std::vector<BundlePart>& frozen,
-                                                    const std::string& use) {
-  if (options.kept_scenes.empty()) return nullptr;
+                                                    const torch::Device& device, const std::string& use) {
+  if (options.kept_scenes.empty() || options.data.distinct_batches == 0) return nullptr;
   const BundleOptions& model = bundle.options();
   std::string made_of =
       use + '\n' + to_yaml(model.backbone) + to_yaml(model.geometry_head) + to_yaml(model.depth_refinement) +
@@ -116,6 +117,11 @@ std::shared_ptr<const KeptFolder> kept_scene_folder(const TrainOptions& options,
   for (const BundlePart& part : frozen) {
     if (bundle.has(part)) made_of += bundle_part_name(part) + ' ' + sha256_of_file(bundle.file(part)) + '\n';
   }
+  const auto unit = bundle.folder() / kSingleViewUnitFile;
+  if (std::filesystem::is_regular_file(unit)) made_of += "single view unit " + sha256_of_file(unit) + '\n';
+  // Libraries are not in the executable, whose hash the folder knows.
+  made_of += std::string(device.is_cpu() ? "cpu" : "device") + ", LibTorch " + torch_version() + ", " +
+             blas_text() + '\n';
   return std::make_shared<const KeptFolder>(options.kept_scenes, made_of);
 }
 

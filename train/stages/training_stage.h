@@ -74,9 +74,10 @@ struct TrainingStage {
 
 // Returns the folder where what these parts of the bundle make of scenes is kept (TrainOptions::kept_scenes), or null
 // where that is empty. use: what is made, with every option that it depends on but those of these parts.
+// Scenes that do not come again (data.distinct_batches: 0) are not kept.
 std::shared_ptr<const KeptFolder> kept_scene_folder(const TrainOptions& options, const ModelBundle& bundle,
                                                     const std::vector<BundlePart>& frozen,
-                                                    const std::string& use);
+                                                    const torch::Device& device, const std::string& use);
 
 // Returns a stage that trains on scenes with these parts.
 TrainingStage scene_stage(const std::string& command, const TrainOptions& options, FrameParts parts);

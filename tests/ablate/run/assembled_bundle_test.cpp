@@ -3,6 +3,7 @@
 #include "gld/base/sha256.h"
 #include "models/bundle/bundle.h"
 #include "models/bundle/random_bundle.h"
+#include "models/bundle/view_unit_file.h"
 #include "tests/support/temporary_folder.h"
 
 #include <filesystem>
@@ -62,6 +63,32 @@ TEST(AssembledBundle, WithoutOtherStatisticsTheUnitIsTheFirsts) {
   std::filesystem::remove(given.stats / "statistics_level1.safetensors");
   const BundleOptions made = given.assemble(ModelBundle::open(given.first).options());
   EXPECT_EQ(made.single_source_unit, 2);
+}
+
+// What guesses a unit by the view goes with the backbone and the head that are taken.
+TEST(AssembledBundle, TakesTheGuessOfItsHead) {
+  const MeasuredAgain given;
+  SingleViewUnit unit;
+  unit.mean = unit.deviation = unit.weights = torch::ones({2}, torch::kFloat64);
+  const auto offset_of = [](const std::filesystem::path& folder) {
+    const auto read = read_single_view_unit(ModelBundle::open(folder));
+    return read ? read->offset : -1;
+  };
+  const BundleOptions options = ModelBundle::open(given.first).options();
+  unit.offset = 1;
+  write_single_view_unit(ModelBundle::open(given.first), unit);
+  assemble_bundle(options, given.first, {given.stats}, given.folder.path() / "of_first");
+  EXPECT_EQ(offset_of(given.folder.path() / "of_first"), 1);
+  unit.offset = 2;
+  write_single_view_unit(ModelBundle::open(given.stats), unit);
+  assemble_bundle(options, given.first, {given.stats}, given.folder.path() / "of_stats");
+  EXPECT_EQ(offset_of(given.folder.path() / "of_stats"), 2);
+  // Of a head that none of them has seen there is none.
+  const auto other_head = given.folder.path() / "other_head";
+  write_random_bundle(other_head, options, 4);
+  assemble_bundle(options, given.first, {given.stats, other_head}, given.folder.path() / "of_other_head");
+  EXPECT_EQ(offset_of(given.folder.path() / "of_other_head"), -1);
+  EXPECT_FALSE(std::filesystem::exists(given.folder.path() / "of_other_head" / kSingleViewUnitFile));
 }
 
 }  // namespace

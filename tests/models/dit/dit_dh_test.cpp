@@ -485,15 +485,14 @@ TEST(DitDh, WhatWasCarriedIsTheFirstGuess) {
   }
 }
 
-// Latents of variance 1, carried features and noise as the model takes them to be: before training its error is that of the
-// best linear estimate, sigma^2, at every time, and never more than that of the mixture.
+// Latents of variance 1, carried features and noise as the model takes them to be: before training its error is that of
+// the best linear estimate, sigma^2, at every time, and never more than that of the mixture.
 TEST(DitDh, AGuessToBeCorrectedIsTheBestLinearEstimate) {
   const torch::NoGradGuard no_grad;
   auto options = small_dit_options();
   options.warped_sources = 2;
   options.carried_error = 0.2;
   options.prediction = FlowPrediction::kData;
-  options.largest_inverse_time = 1000;
   auto scene = random_dit_scene(options, {9, 1, 56, 56});
   scene.inputs.warp_agreement.fill_(1);
   const double trust = 1 / (1 + std::exp(-2.0));  // of an untrained gate where all agree
@@ -509,7 +508,9 @@ TEST(DitDh, AGuessToBeCorrectedIsTheBestLinearEstimate) {
     const auto noisy = (1 - time) * data + time * noise;
     const auto velocity =
         model.velocity(model.prepare_scene(scene.inputs), noisy, model.time_rows({time}).front());
-    return (noisy - velocity * time - data).narrow(0, 1, 8).square().mean().item<double>();
+    const double divided =
+        guess == CarriedGuess::kMixed ? std::min(1 / time, options.largest_inverse_time) : 1 / time;
+    return (noisy - velocity / divided - data).narrow(0, 1, 8).square().mean().item<double>();
   };
   for (const double time : {0.05, 0.3, 0.6, 0.9, 1.0}) {
     const double of_noisy = (1 - time) * (1 - time) / (time * time);
@@ -518,6 +519,24 @@ TEST(DitDh, AGuessToBeCorrectedIsTheBestLinearEstimate) {
     EXPECT_NEAR(error, best, 0.05 * best) << time;
     EXPECT_LT(error, error_at(time, CarriedGuess::kMixed)) << time;
   }
+}
+
+// At the end of a flow too, which divides by no t: what the network predicts has a share of 1 there.
+TEST(DitDh, AGuessToBeCorrectedHasAVelocityAtTheEnd) {
+  const torch::NoGradGuard no_grad;
+  auto options = small_dit_options();
+  options.warped_sources = 2;
+  options.carried_error = 0.1;
+  options.prediction = FlowPrediction::kData;
+  options.carried_guess = CarriedGuess::kCorrected;
+  const auto model = random_dit(options);
+  const auto scene = random_dit_scene(options, {3, 1, 28, 28});
+  const auto prepared = model->prepare_scene(scene.inputs);
+  const auto velocity_at = [&](double time) {
+    return model->velocity(prepared, scene.noisy, model->time_rows({time}).front());
+  };
+  EXPECT_TRUE(velocity_at(0).isfinite().all().item<bool>());
+  EXPECT_LT(relative_difference(velocity_at(1e-4), velocity_at(0)), 1e-2);
 }
 
 }  // namespace

@@ -299,6 +299,7 @@ torch::Tensor naive_dit_velocity(const DitOptions& options,
     output = with_first_guess(options, weights, inputs, output);
   }
   if (options.prediction == FlowPrediction::kVelocity) return output;
+  if (options.carried_guess == CarriedGuess::kCorrected) return (inputs.noisy - output) / inputs.time;
   return (inputs.noisy - output) * std::min(1 / inputs.time, options.largest_inverse_time);
 }
 

@@ -101,6 +101,10 @@ TEST(DepthRefinementTraining, WhatAFolderKeepsIsWhatWouldBeMadeAgain) {
     options.kept_gib = gib;
     EXPECT_EQ(loss(), expected);
   }
+  // It is what is learnt from.
+  test::double_kept(folder.path(), "off");
+  options.kept_gib = 0;
+  EXPECT_NE(loss(), expected);
 }
 
 // Nothing is learnt from it, and nothing breaks.

@@ -8,6 +8,7 @@
 #include "gld/tensors/weight_tensors.h"
 #include "models/bundle/bundle.h"
 #include "models/bundle/part_lineage.h"
+#include "models/bundle/view_unit_file.h"
 #include "tests/support/error_of.h"
 #include "tests/support/temporary_folder.h"
 #include "tests/train/small_training.h"
@@ -535,21 +536,16 @@ TEST(KeptLatents, EncodesASceneOnceAndOthersApart) {
   EXPECT_EQ(encoded, 5);
 }
 
-// The second run takes rooms and latents from the folder, and its model is the same to the byte.
+// The second run takes rooms and latents from the folder, and its model is the same to the byte, whether latents are
+// kept in memory (rounded) or not.
 TEST_F(TrainedChain, ScenesOfAnotherRunMakeTheSameModel) {
-  const auto trained = [&](const std::string& name, bool in_folder) {
+  const auto trained = [&](const std::string& name, double gib, bool in_folder) {
     auto level = test::training_options<TrainLevelOptions>(path("stats/model"), path(name));
-    level.data.distinct_batches = 2;
-    level.objective.kept_latents_gib = 0.01;
-    if (in_folder) level.kept_scenes = path("kept_scenes").string();
-    train_level(level, {});
     auto cascade = test::training_options<TrainCascadeOptions>(path(name) / "model", path(name + "_cascade"));
-    cascade.data.distinct_batches = 2;
-    if (in_folder) {
-      cascade.kept_scenes = level.kept_scenes;  // which rounds latents as those in memory are
-    } else {
-      cascade.objective.flow.kept_latents_gib = 0.01;
-    }
+    level.data.distinct_batches = cascade.data.distinct_batches = 2;
+    level.objective.kept_latents_gib = cascade.objective.flow.kept_latents_gib = gib;
+    if (in_folder) level.kept_scenes = cascade.kept_scenes = path("kept_scenes").string();
+    train_level(level, {});
     train_cascade(cascade, {});
     return ModelBundle::open(path(name + "_cascade") / "model").content_hash();
   };
@@ -559,12 +555,46 @@ TEST_F(TrainedChain, ScenesOfAnotherRunMakeTheSameModel) {
       count += entry.is_regular_file() ? 1 : 0;
     return count;
   };
-  const std::string alone = trained("kept_alone", false);
-  EXPECT_EQ(trained("kept_first", true), alone);
-  // Two rooms, and of each the latents of level 1 and of the cascade.
-  EXPECT_EQ(files(), 6);
-  EXPECT_EQ(trained("kept_second", true), alone);
-  EXPECT_EQ(files(), 6);
+  int64_t expected = 2;  // rooms
+  for (const double gib : {0.0, 0.01}) {
+    const std::string name = gib > 0 ? "kept_in_memory" : "kept_nowhere";
+    const std::string alone = trained(name, gib, false);
+    expected += 4;  // of each room the latents of level 1 and of the cascade
+    for (const char* run : {"_first", "_second"}) {
+      EXPECT_EQ(trained(name + run, gib, true), alone);
+      EXPECT_EQ(files(), expected) << name << run;
+    }
+  }
+}
+
+// Everything that frozen parts make of a scene depends on these.
+TEST_F(TrainedChain, KeptScenesAreThoseOfTheirParts) {
+  const test::TemporaryFolder folder;
+  TrainLevelOptions options;
+  options.kept_scenes = (folder.path() / "kept").string();
+  const auto bundle = ModelBundle::open(path("stats/model"));
+  const auto kept = [&](const ModelBundle& of, const torch::Device& device, const std::string& use) {
+    return kept_scene_folder(options, of, {BundlePart::backbone(), BundlePart::geometry_head()}, device, use);
+  };
+  EXPECT_EQ(kept(bundle, torch::kCPU, "use"), nullptr);  // none of its scenes comes again
+  options.data.distinct_batches = 2;
+  kept(bundle, torch::kCPU, "use")->keep("key", {});
+  EXPECT_TRUE(kept(bundle, torch::kCPU, "use")->find("key"));
+  EXPECT_FALSE(kept(bundle, torch::kCPU, "another use")->find("key"));
+  EXPECT_FALSE(kept(bundle, torch::kCUDA, "use")->find("key"));
+  const auto copied = [&](const char* name) {
+    std::filesystem::copy(path("stats/model"), folder.path() / name);
+    return ModelBundle::open(folder.path() / name);
+  };
+  const auto same = copied("same"), other_head = copied("other_head"), other_unit = copied("other_unit");
+  EXPECT_TRUE(kept(same, torch::kCPU, "use")->find("key"));
+  auto tensors = read_all(other_head.file(BundlePart::geometry_head()));
+  save_safetensors(other_head.file(BundlePart::geometry_head()), tensors, {{"changed", "yes"}});
+  EXPECT_FALSE(kept(other_head, torch::kCPU, "use")->find("key"));
+  SingleViewUnit unit;
+  unit.mean = unit.deviation = unit.weights = torch::ones({2}, torch::kFloat64);
+  write_single_view_unit(other_unit, unit);
+  EXPECT_FALSE(kept(other_unit, torch::kCPU, "use")->find("key"));
 }
 
 TEST(KeptLatents, AreTakenFromAFolderForTheSamePictures) {
@@ -586,18 +616,21 @@ TEST(KeptLatents, AreTakenFromAFolderForTheSamePictures) {
     EXPECT_TRUE(kept.enabled());
     return kept.get(scene, encode);
   };
-  const SceneLatents first = of_another_run(0);
+  // Rounded for memory, and whole without.
   for (const double gib : {0.0, 1e-3}) {
-    const SceneLatents again = of_another_run(gib);
+    const int before = encoded;
+    const SceneLatents first = of_another_run(gib), again = of_another_run(gib);
+    EXPECT_EQ(encoded, before + 1);
     EXPECT_TRUE(torch::equal(again.shown.source_features, first.shown.source_features));
     EXPECT_TRUE(torch::equal(again.clean, first.clean));
     EXPECT_EQ(again.shown.views.size(), scene.views.size());
+    const auto whole = torch::full({1, 2, 3}, 1.0 / 3.0 + encoded);
+    EXPECT_EQ(torch::equal(first.shown.source_features, whole), gib == 0);
   }
-  EXPECT_EQ(encoded, 1);
   scene.images = scene.images.clone();  // the same name and cameras, another picture
   scene.images[0][0][0][0] += 0.5;
   of_another_run(0);
-  EXPECT_EQ(encoded, 2);
+  EXPECT_EQ(encoded, 3);
 }
 
 TEST(DistinctBatches, ComeAgain) {
