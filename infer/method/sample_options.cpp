@@ -237,13 +237,12 @@ void SampleOptions::visit(FieldVisitor& visitor) {
        "repair what the flows made in one call a target view, beside the source views' exact latents; for "
        "models with a refiner of samples"},
       refine);
-  visitor.texts(
-      {"scale_from",
-       "what may tell the scale of depth: camera_poses (the predicted against the given ones), "
-       "photographs (which match at the right scale), sparse_points (of a reconstruction), "
-       "source_depth (measured in source views), usual_unit (what is usual for the model, of a single "
-       "source)"},
-      scale_from);
+  visitor.texts({"scale_from",
+                 "what may tell the scale of depth: camera_poses (the predicted against the given ones), "
+                 "photographs (which match at the right scale), sparse_points (of a reconstruction), "
+                 "source_depth (measured in source views), usual_unit (what the model guesses, of a single "
+                 "source)"},
+                scale_from);
   visitor.group({"points", "how the point cloud is made"}, points);
   visitor.group({"page", "what report.html holds"}, page);
   visitor.group({"splats", "how 3D Gaussians are fitted to sources and generated views"}, splats);

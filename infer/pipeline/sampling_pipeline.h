@@ -64,8 +64,8 @@ struct PipelineRequest {
   torch::Tensor source_images;  // (source views, 3, height, width), RGB in [0, 1]
   // Depth of the source views where something else than the model's geometry head says it.
   std::optional<SourceDepth> source_depth;
-  // The geometry head's unit is so many of the cameras' units long where it sees a single source view, which does not
-  // tell it; where this is 0, it is not known, and a single source is not carried.
+  // The geometry head's unit is so many of the cameras' units long where it sees a single source view and nothing
+  // guesses it of that; where this is 0, a single source is not carried.
   double single_source_unit = 0;
   double single_source_unit_deviation = 0;  // of its logarithm; 0: not known
   PhotographUse photographs;
@@ -133,8 +133,8 @@ struct PipelineResult {
   // What the geometry head alone says of the source views, in the unit of their cameras; none where it was not
   // asked for their depth or the unit is not known.
   std::vector<PlanarDepth> head_depth;
-  // Where that unit is the usual one (PipelineRequest::single_source_unit), this is the deviation of its logarithm, if
-  // known.
+  // Where that unit is a guess (GeometryOutput::single_view, or PipelineRequest::single_source_unit), this is the
+  // deviation of its logarithm, if known.
   double head_depth_log_deviation = 0;
   // One a generator: how far the source views' latents are from its statistics (gld/latents/latent_divergence.h).
   std::vector<double> divergences;

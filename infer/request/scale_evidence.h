@@ -19,7 +19,7 @@ const std::vector<std::string>& scale_evidence_names();
 // alone are asked for.
 ScaleEvidence scale_evidence(const SamplingScene& scene, const std::vector<std::string>& kinds);
 // Returns the same with what a run has found of the sources: what the photographs agree on, which says more than
-// pictures laid over each other, and the depth of a single source in the unit that is usual for the model.
+// pictures laid over each other, and the depth of a single source in the unit that the model guesses.
 ScaleEvidence scale_evidence(const SamplingScene& scene, const std::vector<std::string>& kinds,
                              const PipelineResult& found);
 // Returns the kinds that are taken unless others are named: all but source_depth, which nobody has of photographs

@@ -25,8 +25,8 @@ struct PictureEvidence {
   int64_t sources = 1;
   std::vector<LeftOutPhotograph> left_out;  // empty with one source
   bool keeps_photographs = false;           // what they show of target views is kept in the pictures
-  // Where one photograph is carried in the unit that is usual for the model, this is how sure that is, the deviation of
-  // its logarithm; it is 0 where nobody knows.
+  // Where one photograph is carried in a unit that the model guesses, this is how sure that is, the deviation of its
+  // logarithm; it is 0 where nobody knows.
   double unit_log_deviation = 0;
   double kept = 0;  // of the target views' pixels, the share that comes from photographs
   std::vector<ExpectedView>

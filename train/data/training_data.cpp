@@ -82,8 +82,8 @@ void TrainingDataOptions::visit(FieldVisitor& visitor) {
   visitor.group({"views", "which frames make a training scene"}, views);
   visitor.group({"loading", "micro-batches and what is refused"}, loading);
   visitor.integer({"distinct_batches",
-                   "micro-batches that are drawn before the same ones come again, kept in memory; "
-                   "0 always draws new ones"},
+                   "micro-batches that are drawn before the same ones come again, kept in memory or "
+                   "in --kept-scenes; 0 always draws new ones"},
                   distinct_batches, {0, 1'000'000'000});
   visitor.text({"validation_folder", "folder of held-out scenes; none is generated scenes"},
                validation_folder);
