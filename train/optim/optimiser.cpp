@@ -57,6 +57,7 @@ double newton_schulz_products(const torch::Tensor& matrix) {
 std::vector<std::vector<size_t>> equal_shares(const std::vector<size_t>& items, int64_t count,
                                               const std::function<double(size_t)>& cost_of) {
   std::vector<std::pair<double, size_t>> dearest_first;
+  dearest_first.reserve(items.size());
   for (const size_t item : items) dearest_first.emplace_back(-cost_of(item), item);
   std::sort(dearest_first.begin(), dearest_first.end());
   std::vector<std::vector<size_t>> shares(static_cast<size_t>(std::max<int64_t>(1, count)));

@@ -360,6 +360,7 @@ std::string compute_statistics(const StatsOptions& options) {
   const std::optional<SingleViewUnit> unit = fitted_unit(single_views);
   if (!single_views.empty()) {
     std::vector<double> log_units;
+    log_units.reserve(single_views.size());
     for (const MeasuredView& view : single_views) log_units.push_back(view.log_unit);
     const auto logs = torch::tensor(log_units, torch::kFloat64);
     with_unit.single_source_unit = four_digits(std::exp(logs.mean().item<double>()));
