@@ -47,18 +47,6 @@ BundleOptions with_measured_unit(BundleOptions options, const ModelBundle& first
   return options;
 }
 
-// Returns the folders that guess a unit by the view, those that were made last first.
-std::vector<fs::path> folders_with_unit(const fs::path& from, const std::vector<fs::path>& others) {
-  std::vector<fs::path> folders;
-  for (auto other = others.rbegin(); other != others.rend(); ++other) folders.push_back(*other);
-  folders.push_back(from);
-  const auto without = [](const fs::path& folder) {
-    return !fs::is_regular_file(folder / kSingleViewUnitFile);
-  };
-  folders.erase(std::remove_if(folders.begin(), folders.end(), without), folders.end());
-  return folders;
-}
-
 }  // namespace
 
 void assemble_bundle(const BundleOptions& options, const fs::path& from, const std::vector<fs::path>& others,
@@ -80,7 +68,10 @@ void assemble_bundle(const BundleOptions& options, const fs::path& from, const s
     if (!chosen.empty()) link_or_copy(chosen, assembled.file(part));
   }
   // Of the backbone and head that were chosen, or it counts for nothing.
-  for (const fs::path& other : folders_with_unit(from, others)) {
+  std::vector<fs::path> newest_first(others.rbegin(), others.rend());
+  newest_first.push_back(from);
+  for (const fs::path& other : newest_first) {
+    if (!fs::is_regular_file(other / kSingleViewUnitFile)) continue;
     copy_file_atomically(other / kSingleViewUnitFile, folder.temporary() / kSingleViewUnitFile);
     if (read_single_view_unit(assembled) != nullptr) break;
     fs::remove(folder.temporary() / kSingleViewUnitFile);

@@ -3,6 +3,7 @@
 #include "datasets/formats/scene_writer.h"
 #include "datasets/synthetic/synthetic_scene.h"
 #include "tests/support/temporary_folder.h"
+#include "tests/train/small_training.h"
 
 #include <gtest/gtest.h>
 
@@ -33,6 +34,20 @@ TEST(TrainingData, ValidationScenesAreCutAboutThePointOfTheTraining) {
     for (const Camera& camera : scenes.front().views.cameras) {
       EXPECT_NEAR(camera.intrinsics(0, 2), centre == CropCentre::kImage ? 42 : 28, 1e-6);
     }
+  }
+}
+
+TEST(DistinctBatches, ComeAgain) {
+  auto options = test::small_data();
+  options.distinct_batches = 2;
+  const DatasetBatches data(options, {{56, 56}}, FrameParts::kImage);
+  const DatasetBatches endless(test::small_data(), {{56, 56}}, FrameParts::kImage);
+  for (const int64_t index : {0, 1, 2, 5}) {
+    const auto batch = data.batch(index);
+    EXPECT_EQ(batch.index, index);
+    const auto expected = endless.batch(index % 2);
+    ASSERT_EQ(batch.scenes.size(), expected.scenes.size());
+    EXPECT_TRUE(torch::equal(batch.scenes.front().images, expected.scenes.front().images));
   }
 }
 
