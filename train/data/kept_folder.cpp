@@ -29,10 +29,12 @@ const std::string& this_executable() {
 KeptFolder::KeptFolder(const std::filesystem::path& folder, const std::string& made_of)
     : folder_(folder), made_of_("gld kept scene 1\n" + this_executable() + '\n' + made_of + '\n') {
   std::error_code error;
-  std::filesystem::create_directories(folder_, error);
-  if (error || !std::filesystem::is_directory(folder_)) {
+  const bool taken =
+      std::filesystem::exists(folder_, error) && !std::filesystem::is_directory(folder_, error);
+  if (!taken) std::filesystem::create_directories(folder_, error);
+  if (taken || error) {
     fail({"--kept-scenes " + folder_.string(), "a folder that can be written",
-          error ? error.message() : "a file of that name", "choose another"});
+          taken ? "a file of that name" : error.message(), "choose another"});
   }
 }
 
