@@ -4,8 +4,6 @@
 #include <cmath>
 #include <limits>
 
-#include <torch/linalg.h>
-
 namespace gld {
 namespace {
 

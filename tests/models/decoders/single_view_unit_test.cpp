@@ -5,7 +5,6 @@
 #include <vector>
 
 #include <ATen/CPUGeneratorImpl.h>
-#include <torch/linalg.h>
 
 #include <gtest/gtest.h>
 
