@@ -6,9 +6,7 @@ namespace gld {
 
 SourceDepth matched_source_depth(const StereoScene& stereo) {
   SourceDepth depth;
-  double confident = 0;  // of all source views, the share of pixels whose depth the photographs confirm
-  for (const StereoDepth& view : stereo.views)
-    confident += view.confident_share() / static_cast<double>(stereo.views.size());
+  const double confident = stereo.confident_share();
   constexpr double kHardlyAny = 0.01;
   const bool open = stereo.prior ? stereo.prior->pixels == 0 : confident < kHardlyAny;
   if (open) {

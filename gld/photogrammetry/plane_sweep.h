@@ -16,7 +16,6 @@ struct SweptPlanes {
   double step = 0;
 
   double inverse_depth(double plane) const { return farthest + plane * step; }
-  double plane_of(double inverse_depth) const { return (inverse_depth - farthest) / step; }
 };
 
 // What each plane costs each pixel, (height, width, planes rounded up to kPlaneGroup).

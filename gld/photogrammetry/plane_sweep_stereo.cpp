@@ -32,7 +32,7 @@ std::vector<MatchedPlanes> sweep_views(const std::vector<StereoPicture>& picture
   for (size_t view = 0; view < pictures.size(); ++view) {
     if (!swept[view].compared.empty()) todo.push_back(view);
   }
-  int64_t most_bytes = 1;
+  int64_t most_bytes = 1;  // a byte a plane for the costs, two for the sums of paths
   for (const size_t view : todo) {
     most_bytes = std::max(most_bytes, 3 * pictures[view].width * pictures[view].height *
                                           (swept[view].planes.count + kPlaneGroup));
@@ -182,6 +182,12 @@ size_t StereoDepth::far_pixels() const {
       std::count_if(least.values.begin(), least.values.end(), [](float value) { return value > 0; }));
 }
 
+double StereoScene::confident_share() const {
+  double share = 0;
+  for (const StereoDepth& view : views) share += view.confident_share() / static_cast<double>(views.size());
+  return share;
+}
+
 double StereoDepth::confident_share() const {
   if (confidence.values.empty()) return 0;
   return static_cast<double>(confident_pixels()) / static_cast<double>(confidence.values.size());
@@ -253,7 +259,9 @@ StereoScene stereo_depth(const std::vector<PicturedView>& views, const std::vect
         range = {std::min(range.least, of_prior.least), std::max(range.most, of_prior.most)};
     }
     swept[view].planes = planes_over(range, options.planes);
-    swept[view].compared = photographs_for(view, coarse, baselines, range, options.photographs);
+    // What a wide prior adds to the range may lie where no other photograph looks.
+    auto compared = photographs_for(view, coarse, baselines, range, options.photographs);
+    if (!compared.empty()) swept[view].compared = std::move(compared);
     if (!prior_judged || priors[view].empty()) continue;
     swept[view].prior = scaled_prior(priors[view], *scene.prior);
   }
@@ -263,12 +271,14 @@ StereoScene stereo_depth(const std::vector<PicturedView>& views, const std::vect
   // What agreed by chance does not agree again: then the unit that the first pass told is none either.
   const bool prior_holds = prior_judged && !hardly_any_matched(scene.views);
   if (prior_judged && !prior_holds) scene.prior = PriorAgreement();
+  // A view that no other one overlaps has the unit of all priors too.
+  const double prior_scale = prior_holds ? scene.prior->scale : 1;
 #pragma omp parallel for num_threads(settings.threads) schedule(dynamic)
   for (size_t view = 0; view < views.size(); ++view) {
     if (prior_holds && swept[view].prior.any()) {
       put_prior_in(scene.views[view], swept[view], *scene.prior);
     } else if (!priors[view].empty()) {
-      take_prior(scene.views[view], priors[view]);
+      take_prior(scene.views[view], priors[view], prior_scale);
     }
   }
   return scene;

@@ -13,8 +13,8 @@ namespace gld {
 
 struct RecoveredCamera {
   Camera camera;               // in the frame of the rays, intrinsics in pixels of the picture
-  double direction_error = 0;  // weighted median angle between the map's directions and the camera's, degrees
-  double origin_error = 0;     // weighted median distance of the map's origins from the centre
+  double direction_error = 0;  // median angle between the map's directions and the camera's, degrees
+  double origin_error = 0;     // median distance of the map's origins from the centre
   double inliers = 0;          // fraction of the used rays that the robust fit believes
 };
 

@@ -142,11 +142,6 @@ MatchedPlanes match_semi_globally(const CostVolume& volume, const StereoPicture&
   return matched;
 }
 
-int64_t semi_global_bytes(const CostVolume& volume) {
-  return 2 * volume.stride * volume.width * volume.height +
-         12 * (volume.stride + 2 * kPathGuard) * (volume.width + 2);
-}
-
 double semi_global_operations() {
   // Each path takes three minima, two additions, a subtraction, the least and the sum.
   return kPaths * 8;

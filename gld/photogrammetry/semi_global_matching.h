@@ -27,14 +27,11 @@ struct MatchedPlanes {
 };
 
 // Hirschmueller, "Stereo Processing by Semiglobal Matching and Mutual Information", PAMI 2008, with eight paths: the
-// four that come from above and the left in one pass down, the others in one pass up. Needs memory of
-// semi_global_bytes(). Planes within one_minimum of the best are no second one.
+// four that come from above and the left in one pass down, the others in one pass up. Planes within one_minimum of the best are no second one.
 MatchedPlanes match_semi_globally(const CostVolume& volume, const StereoPicture& picture,
                                   const PathPenalties& penalties, int64_t one_minimum,
                                   const KernelTable& kernels);
 
-// Returns the bytes of the sums and paths, without the volume's own.
-int64_t semi_global_bytes(const CostVolume& volume);
 // Returns the operations on 16 bits for each plane and pixel, as the formulas count, for benchmarks.
 double semi_global_operations();
 // Returns the bytes that they read and write for it.

@@ -161,9 +161,9 @@ void put_prior_in(StereoDepth& found, const SweptView& swept, const PriorAgreeme
   }
 }
 
-void take_prior(StereoDepth& result, const std::vector<float>& prior) {
+void take_prior(StereoDepth& result, const std::vector<float>& prior, double scale) {
   for (size_t i = 0; i < prior.size(); ++i) {
-    result.depth.values[i] = PlanarDepth::known(prior[i]) ? prior[i] : 0.0F;
+    result.depth.values[i] = PlanarDepth::known(prior[i]) ? static_cast<float>(scale) * prior[i] : 0.0F;
     result.confidence.values[i] = 0;
     result.least.values[i] = 0;
     if (result.doubt[i] == StereoDoubt::kNone) result.doubt[i] = StereoDoubt::kAmbiguous;

@@ -30,7 +30,7 @@ bool widens_range(const PriorAgreement& agreement);
 // far stays so.
 void put_prior_in(StereoDepth& found, const SweptView& swept, const PriorAgreement& agreement);
 
-// Takes what the prior is where nothing else is known.
-void take_prior(StereoDepth& result, const std::vector<float>& prior);
+// Takes the prior, times that scale, for a view of which photographs tell nothing.
+void take_prior(StereoDepth& result, const std::vector<float>& prior, double scale);
 
 }  // namespace gld

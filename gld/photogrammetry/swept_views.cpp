@@ -207,7 +207,7 @@ int64_t planes_of_one_minimum(size_t view, const std::vector<StereoPicture>& pic
     pixels += overlap_at(pictures[view], pictures[other], middle).parallax;
   const double of_plane = pixels / static_cast<double>(swept.compared.size()) * swept.planes.step / middle;
   return std::clamp<int64_t>(std::lround(kPixelsOfMinimum / std::max(of_plane, 1e-6)), 3,
-                             swept.planes.count / 4);
+                             std::max<int64_t>(3, swept.planes.count / 4));
 }
 
 }  // namespace gld

@@ -4,6 +4,7 @@
 #include "datasets/images/png_file.h"
 #include "datasets/loading/dataset.h"
 #include "gld/base/atomic_file.h"
+#include "gld/base/atomic_folder.h"
 #include "gld/base/command_options.h"
 #include "gld/base/error.h"
 #include "gld/base/interrupt.h"
@@ -119,8 +120,9 @@ std::vector<std::pair<std::string, size_t>> chosen_scenes(const std::vector<Scen
   return {{"best", order.front()}, {"median", order[order.size() / 2]}, {"worst", order.back()}};
 }
 
-void copy_file_atomically(const std::filesystem::path& from, const std::filesystem::path& to) {
-  if (std::filesystem::is_regular_file(from)) write_file_atomically(to, read_file(from));
+// A record that was taken over from another run may have no sheet.
+void copy_sheet(const std::filesystem::path& from, const std::filesystem::path& to) {
+  if (std::filesystem::is_regular_file(from)) copy_file_atomically(from, to);
 }
 
 nlohmann::ordered_json protocol_json(const EvaluationOptions& options, const BundleOptions& bundle) {
@@ -358,11 +360,10 @@ void write_sheets(const EvaluationOptions& options, const RunFolder& folder, con
   const auto sheets = folder.subfolder("sheets");
   DistinctNames names;
   for (size_t i = 0; i < results.size() && static_cast<int64_t>(i) < options.pictures; ++i) {
-    copy_file_atomically(records.sheet(static_cast<int64_t>(i)),
-                         sheets / (names.of(results[i].scene) + ".png"));
+    copy_sheet(records.sheet(static_cast<int64_t>(i)), sheets / (names.of(results[i].scene) + ".png"));
   }
   for (const auto& [name, index] : chosen_scenes(results)) {
-    copy_file_atomically(records.sheet(static_cast<int64_t>(index)), folder.path() / (name + "_scene.png"));
+    copy_sheet(records.sheet(static_cast<int64_t>(index)), folder.path() / (name + "_scene.png"));
   }
   for (size_t i = 0; i < results.size(); ++i) std::filesystem::remove(records.sheet(static_cast<int64_t>(i)));
 }

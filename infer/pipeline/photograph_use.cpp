@@ -28,7 +28,7 @@ void PhotographOptions::visit(FieldVisitor& visitor) {
   visitor.real(
       {"depth_error",
        "to see what depends on it: the depth that carries photographs is off by this share, in turns too "
-       "far and too near, where it is found and not given"},
+       "far and too near, where it is found and not given; depth that is written is then off as well"},
       depth_error, {0, 0.9});
 }
 

@@ -31,7 +31,7 @@ struct PhotographUse {
   bool leaves_out_complete = false;
   StereoOptions stereo;  // of all but kHead
   // Depth that is found here, and not given, carries photographs off by so much on purpose (with_depth_error()); what
-  // photographs are matched for beside that, and depth that is written, is not touched.
+  // photographs are matched for beside that is not touched. Depth that is fused with that depth and written is off too.
   double depth_error = 0;
 
   bool matches() const { return depth != SourceDepthOrigin::kHead; }

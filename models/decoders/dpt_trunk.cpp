@@ -27,10 +27,6 @@ constexpr double kPyramidScales[] = {16, 4, 1, 0.25};
 
 }  // namespace
 
-std::shared_ptr<torch::nn::Module> child_module(torch::nn::Module& parent, const std::string& name) {
-  return parent.register_module(name, std::make_shared<torch::nn::Module>());
-}
-
 std::shared_ptr<Convolution> child_convolution(torch::nn::Module& parent, const std::string& name,
                                                const ConvolutionSizes& sizes,
                                                const ParameterPlacement& placement) {

@@ -3,6 +3,7 @@
 #include "gld/cameras/camera.h"
 #include "models/decoders/dpt_fusion.h"
 #include "models/decoders/geometry_head.h"
+#include "models/layers/child_module.h"
 #include "models/layers/convolution.h"
 #include "models/layers/layers.h"
 
@@ -74,8 +75,7 @@ class DptTrunk {
   std::vector<std::shared_ptr<Convolution>> lateral_;  // layer1_rn .. layer4_rn
 };
 
-// These helpers register the parts of a head.
-std::shared_ptr<torch::nn::Module> child_module(torch::nn::Module& parent, const std::string& name);
+// Registers a part of a head.
 std::shared_ptr<Convolution> child_convolution(torch::nn::Module& parent, const std::string& name,
                                                const ConvolutionSizes& sizes,
                                                const ParameterPlacement& placement);

@@ -209,6 +209,13 @@ void DinoDiscriminatorOptions::check() const {
     fail({"discriminator.num_heads", "a divisor of embed_dim " + std::to_string(embed_dim),
           std::to_string(num_heads), "change one of them"});
   }
+  for (size_t i = 0; i < key_depths.size(); ++i) {
+    if (key_depths[i] < depth && (i == 0 || key_depths[i] > key_depths[i - 1])) continue;
+    fail({"discriminator.key_depths",
+          "blocks from 0 to " + std::to_string(depth - 1) + ", ascending, each once",
+          std::to_string(key_depths[i]) + (i == 0 ? "" : " behind " + std::to_string(key_depths[i - 1])),
+          "name blocks of that network"});
+  }
   if (kernel_size % 2 == 0) {
     fail({"discriminator.kernel_size", "an odd number", std::to_string(kernel_size),
           "use the next odd number"});

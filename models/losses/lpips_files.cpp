@@ -16,9 +16,9 @@ void LpipsFiles::check() const {
         lpips_backbone.empty() ? "only the heads" : "only the backbone", "give both files"});
 }
 
-std::shared_ptr<Lpips> load_lpips(const LpipsFiles& files) {
+std::shared_ptr<Lpips> load_lpips(const LpipsFiles& files, const ParameterPlacement& placement) {
   if (files.lpips_backbone.empty()) return nullptr;
-  auto lpips = std::make_shared<Lpips>(files.lpips, ParameterPlacement{});
+  auto lpips = std::make_shared<Lpips>(files.lpips, placement);
   load_lpips(*lpips, *WeightFile::open(files.lpips_backbone), *WeightFile::open(files.lpips_heads));
   return lpips;
 }

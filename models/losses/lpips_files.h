@@ -8,7 +8,7 @@
 
 namespace gld {
 
-// Where a measurement finds the weights of LPIPS, which are not part of this project.
+// Where a measurement or a training finds the weights of LPIPS, which are not part of this project.
 struct LpipsFiles : OptionsGroup {
   std::string lpips_backbone;  // torchvision's network; empty: no LPIPS
   std::string lpips_heads;     // published linear heads
@@ -19,6 +19,6 @@ struct LpipsFiles : OptionsGroup {
 };
 
 // Returns null without weights.
-std::shared_ptr<Lpips> load_lpips(const LpipsFiles& files);
+std::shared_ptr<Lpips> load_lpips(const LpipsFiles& files, const ParameterPlacement& placement = {});
 
 }  // namespace gld

@@ -1,6 +1,6 @@
 #pragma once
 
-#include "models/losses/lpips.h"
+#include "models/losses/lpips_files.h"
 #include "models/losses/perceptual_standin.h"
 
 #include <cstdint>
@@ -13,10 +13,8 @@ namespace gld {
 
 struct PerceptualOptions : OptionsGroup {
   double weight = 1.0;
-  int64_t start = 0;           // first step with the perceptual loss
-  std::string lpips_backbone;  // torchvision's network; empty: the stand-in (perceptual_standin.h)
-  std::string lpips_heads;     // published linear heads
-  LpipsOptions lpips;
+  int64_t start = 0;  // first step with the perceptual loss
+  LpipsFiles lpips;   // none: the stand-in (perceptual_standin.h)
   PerceptualStandinOptions standin;
 
   void visit(FieldVisitor& visitor) override;

@@ -81,11 +81,8 @@ std::vector<DepthScale> estimates_from_depth(const GeometryOutput& geometry, con
 std::vector<PlanarDepth> confident_depth(const StereoScene& stereo) {
   // With fewer, and by chance all in one corner, photographs are asked at all scales instead.
   constexpr double kLeastShare = 0.02;
-  double share = 0;
-  for (const StereoDepth& view : stereo.views)
-    share += view.confident_share() / static_cast<double>(stereo.views.size());
   std::vector<PlanarDepth> result;
-  if (share < kLeastShare) return result;
+  if (stereo.confident_share() < kLeastShare) return result;
   for (const StereoDepth& view : stereo.views) {
     PlanarDepth depth = view.depth;
     for (size_t i = 0; i < depth.values.size(); ++i) {

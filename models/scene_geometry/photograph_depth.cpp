@@ -140,10 +140,7 @@ std::vector<PlanarDepth> fused_view_depths(const Views& views, const torch::Tens
                                            const SourceDepth& depth, const StereoScene& stereo,
                                            const torch::Tensor& predicted) {
   constexpr double kEnough = 0.1;
-  double confirmed = 0;
-  for (const StereoDepth& view : stereo.views)
-    confirmed += view.confident_share() / static_cast<double>(stereo.views.size());
-  if (confirmed < kEnough) return {};
+  if (stereo.confident_share() < kEnough) return {};
   // As large as the model sees them: the predicted depth is no larger.
   const SourcePhotographs pictures = photographs_of_images(views, source_images);
   std::vector<ConfirmedDepth> sources;

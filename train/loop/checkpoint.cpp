@@ -152,6 +152,8 @@ std::filesystem::path CheckpointFolder::save(const Checkpoint& checkpoint) const
   auto file = file_of(checkpoint.step);
   save_checkpoint(file, checkpoint);
   auto present = steps();
+  // A later one that was damaged, and passed over, is nobody's to count.
+  present.erase(std::upper_bound(present.begin(), present.end(), checkpoint.step), present.end());
   const auto keep = static_cast<size_t>(std::max<int64_t>(options_.keep_last, 1));
   for (size_t i = 0; i + keep < present.size(); ++i) {
     std::error_code ignored;

@@ -1,6 +1,7 @@
 #include "train/loop/loss_curve.h"
 
 #include "gld/report/plot.h"
+#include "gld/report/training_keys.h"
 
 #include <algorithm>
 #include <string>
@@ -27,13 +28,6 @@ std::vector<std::pair<double, double>> thinned(const std::vector<std::pair<doubl
   return result;
 }
 
-bool is_bookkeeping(const std::string& key) {
-  const std::vector<std::string> names = {
-      "learning_rate", "samples_per_second", "data_wait_fraction", "skipped_steps",
-      "seconds",       "gradient_norm"};
-  return std::find(names.begin(), names.end(), key) != names.end();
-}
-
 }  // namespace
 
 void draw_loss_curve(const MetricsLog& metrics, const std::filesystem::path& file_without_ending) {
@@ -54,7 +48,7 @@ void draw_loss_curve(const MetricsLog& metrics, const std::filesystem::path& fil
       panel = &validation;
     } else if (key == "learning_rate" || key == "gradient_norm") {
       panel = &rate;
-    } else if (!is_bookkeeping(key)) {
+    } else if (!is_course_of_run(key)) {
       panel = &losses;
     }
     // A logarithmic axis cannot show losses with a reward, which may be negative.

@@ -5,6 +5,7 @@
 #include "gld/base/json_text.h"
 
 #include <fstream>
+#include <limits>
 #include <optional>
 #include <set>
 #include <sstream>
@@ -64,6 +65,20 @@ std::vector<std::pair<double, double>> MetricsLog::series(const std::string& key
     }
   }
   return points;
+}
+
+std::vector<std::pair<std::string, double>> MetricsLog::values_at(int64_t step,
+                                                                  const std::string& prefix) const {
+  std::vector<std::pair<std::string, double>> values;
+  for (const auto& line : lines_) {
+    if (line.at("step").get<int64_t>() != step) continue;
+    for (const auto& [key, value] : line.items()) {
+      if (key.rfind(prefix, 0) != 0 || !(value.is_number() || value.is_null())) continue;
+      values.emplace_back(key.substr(prefix.size()),
+                          value.is_null() ? std::numeric_limits<double>::infinity() : value.get<double>());
+    }
+  }
+  return values;
 }
 
 std::vector<std::string> MetricsLog::keys() const {

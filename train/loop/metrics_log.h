@@ -21,6 +21,9 @@ class MetricsLog {
 
   // Returns (step, value) of every line that has the key, in order.
   std::vector<std::pair<double, double>> series(const std::string& key) const;
+  // Returns name and value of every key of that step that begins with prefix, without it, as the line has them; null,
+  // as which lines keep what is not finite, is infinity (the PSNR of equal images).
+  std::vector<std::pair<std::string, double>> values_at(int64_t step, const std::string& prefix) const;
   // Returns the keys with numbers, sorted, beside "step".
   std::vector<std::string> keys() const;
 

@@ -110,6 +110,9 @@ class Session {
  private:
   // Rank 0 restores, logs, validates and writes for all.
   bool leads() const { return team_.rank() == 0; }
+  bool validates_after(int64_t step) const {
+    return step % options_.validate_every == 0 || step == options_.steps;
+  }
   // As many as share a step; the threads of LibTorch are divided among them (DividedThreads).
   int64_t workers() const { return objective_.concurrent() ? options_.workers : 1; }
   bool computes(int64_t micro) const { return process_of_micro_batch(micro, team_.count()) == team_.rank(); }
@@ -444,6 +447,14 @@ TrainingSummary Session::run() {
     const OptimiserState state = optimiser_.whole_state();
     if (leads()) validate(state);
   }
+  if (!fresh_ && validates_after(step_) && (step_ > 0 || run_.begins_trained)) {
+    // A stop in the midst of that validation kept the step, and no line of it.
+    const OptimiserState state = optimiser_.whole_state();
+    if (leads()) {
+      validation_ = metrics_->values_at(step_, "validation_");
+      if (validation_.empty()) validate(state);
+    }
+  }
   Averages averages;
   int64_t scenes = 0;
   std::string speed;  // of the last line of metrics.jsonl
@@ -483,7 +494,7 @@ TrainingSummary Session::run() {
     }
     ++step_;
     const bool last = step_ == options_.steps;
-    const bool validates = step_ % options_.validate_every == 0 || last;
+    const bool validates = validates_after(step_);
     const bool saves = step_ % options_.checkpoint_every == 0 || last;
     const OptimiserState state = validates || saves ? optimiser_.whole_state() : OptimiserState();
     if (!leads()) continue;

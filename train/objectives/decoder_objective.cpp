@@ -63,7 +63,7 @@ void DecoderObjectiveOptions::visit(FieldVisitor& visitor) {
 
 std::vector<std::string> stand_in_notes(const DecoderObjectiveOptions& options) {
   std::vector<std::string> notes;
-  if (options.perceptual.weight > 0 && options.perceptual.lpips_backbone.empty()) {
+  if (options.perceptual.weight > 0 && options.perceptual.lpips.lpips_backbone.empty()) {
     notes.push_back(standin_note());
   }
   if (options.adversarial.weight > 0 && options.adversarial.dino_weights.empty()) {

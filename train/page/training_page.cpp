@@ -7,8 +7,10 @@
 #include "gld/report/progress.h"
 #include "gld/report/run_folder.h"
 #include "gld/report/table.h"
+#include "gld/report/training_keys.h"
 
 #include <algorithm>
+#include <cmath>
 #include <map>
 #include <sstream>
 #include <string>
@@ -76,28 +78,30 @@ bool all_positive(const Points& points) {
 
 // Numbers of one magnitude belong into one panel.
 std::vector<PlotPanel> panels_of(const Courses& courses) {
-  std::vector<PlotPanel> panels(5);
-  const char* titles[] = {"Losses", "Held-out losses", "Held-out PSNR, dB", "Learning rate and gradient norm",
-                          "Scenes a second"};
+  std::vector<PlotPanel> panels(6);
+  const char* titles[] = {"Losses",
+                          "Held-out losses",
+                          "Held-out PSNR, dB",
+                          "Learning rate and gradient norm",
+                          "Scenes a second",
+                          "Held-out sharpness, of the truth's"};
   for (size_t i = 0; i < panels.size(); ++i) {
     panels[i].title = titles[i];
     panels[i].x.label = "step";
     panels[i].y.scale = AxisScale::kLog;
   }
-  panels[2].y.scale = panels[4].y.scale = AxisScale::kLinear;
+  for (const size_t panel : {2, 4, 5}) panels[panel].y.scale = AxisScale::kLinear;
   const std::string held_out = kHeldOut;
   for (const auto& [key, points] : courses) {
     size_t panel = 0;
-    if (key == "data_wait_fraction" || key == "skipped_steps" || key == "seconds" ||
-        key == "communication_fraction") {
-      continue;
-    }
     if (key == "samples_per_second") {
       panel = 4;
+    } else if (is_course_of_run(key)) {
+      continue;
     } else if (key == "learning_rate" || key == "gradient_norm") {
       panel = 3;
     } else if (key.rfind(held_out, 0) == 0) {
-      panel = key.find("psnr") != std::string::npos ? 2 : 1;
+      panel = key.find("psnr") != std::string::npos ? 2 : is_sharpness(key) ? 5 : 1;
     }
     PlotSeries series;
     series.name = key.rfind(held_out, 0) == 0 ? key.substr(held_out.size()) : key;
@@ -139,9 +143,13 @@ ResultTable validation_table(const Courses& courses) {
   for (const auto& [key, points] : courses) {
     if (key.rfind(kHeldOut, 0) != 0) continue;
     const bool higher = key.find("psnr") != std::string::npos;
-    const auto less = [](const auto& a, const auto& b) { return a.second < b.second; };
-    const auto best = higher ? std::max_element(points.begin(), points.end(), less)
-                             : std::min_element(points.begin(), points.end(), less);
+    const bool near_one = is_sharpness(key);
+    const auto badness = [&](double value) {
+      return higher ? -value : near_one ? std::abs(value - 1) : value;
+    };
+    const auto best = std::min_element(points.begin(), points.end(), [&](const auto& a, const auto& b) {
+      return badness(a.second) < badness(b.second);
+    });
     std::string name = key.substr(11);
     std::replace(name.begin(), name.end(), '_', ' ');
     table.rows.push_back({name + (higher ? ", dB" : ""), short_number(points.front().second),
@@ -198,7 +206,7 @@ Page training_page(const std::filesystem::path& run) {
   if (!steps.empty()) {
     if (!parameters.empty()) page.verdict += " with " + parameters + " parameters";
     if (seconds.is_number()) {
-      page.verdict += ", the last part of them in " + short_number(seconds.get<double>() / 60) + " minutes";
+      page.verdict += ", in " + short_number(seconds.get<double>() / 60) + " minutes";
     }
     page.verdict += course_of_loss(courses) + ".";
   }

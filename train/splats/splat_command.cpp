@@ -10,6 +10,7 @@
 #include "gld/base/option_differences.h"
 #include "gld/machine/stage_record.h"
 #include "gld/machine/timing.h"
+#include "gld/report/distinct_names.h"
 #include "gld/report/progress.h"
 #include "gld/report/report_text.h"
 #include "gld/report/run_folder.h"
@@ -197,8 +198,9 @@ void write_cameras(const RunFolder& run, const SplatFitViews& views, bool metric
 }
 
 void write_held_out(const RunFolder& run, const FitInSteps& fit) {
+  DistinctNames names;
   for (const FittedView& view : fit.views().held_out) {
-    write_png(run.subfolder("held_out") / (view.name + ".png"),
+    write_png(run.subfolder("held_out") / (names.of(view.name) + ".png"),
               image_of(splat_picture(fit.set(), view.camera, fit.projection(), fit.settings()).image));
   }
 }

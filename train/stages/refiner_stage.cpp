@@ -50,7 +50,7 @@ std::string train_refiner(const TrainRefinerOptions& options, const DrawValidati
     fail({options.model + "/model.yaml", "a refiner", "none",
           "add for example refiner: {channels: [64, 96, 128], heads: [2, 3, 4]}"});
   }
-  if (options.objective.perceptual.weight > 0 && options.objective.perceptual.lpips_backbone.empty())
+  if (options.objective.perceptual.weight > 0 && options.objective.perceptual.lpips.lpips_backbone.empty())
     std::cerr << "note: " << standin_note() << ".\n";
   TrainingStage stage;
   stage.command = "train refiner";

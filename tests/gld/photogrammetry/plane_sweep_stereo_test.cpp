@@ -345,6 +345,34 @@ TEST(PlaneSweepStereo, ThePriorsScaleIsMended) {
   EXPECT_LT(errors_of(fused, truth).mean_of_all, 0.03);
 }
 
+TEST(PlaneSweepStereo, AViewThatNoneOverlapsHasTheUnitOfTheOthers) {
+  auto cameras = cameras_aside(2, 0.4);
+  cameras.push_back(camera_before_plane({0.5, 0, -1}, 3.1));
+  auto truth = plane_views(cameras);
+  // Behind that camera the plane has no depth; a wall of 3 units stands there.
+  std::fill(truth[2].depth.values.begin(), truth[2].depth.values.end(), 3.0F);
+  const auto fused = stereo_depth(with_wrong_prior(truth, 1.6, 0), {}, few_planes());
+  EXPECT_TRUE(fused.views[2].compared.empty());
+  EXPECT_EQ(fused.views[2].confident_pixels(), 0U);
+  EXPECT_NEAR(fused.prior->scale, 1 / 1.6, 0.02);
+  for (const float depth : fused.views[2].depth.values) ASSERT_NEAR(depth, 3, 0.1);
+}
+
+// What nearly every pixel of a prior says lies so near that no other photograph shows it there.
+TEST(PlaneSweepStereo, APriorThatWidensTheRangeLeavesDepthKnown) {
+  const auto truth = plane_views(cameras_aside(3, 0.4));
+  auto views = truth;
+  for (PicturedView& view : views) {
+    for (size_t i = 0; i < view.depth.values.size() / 50; ++i) view.depth.values[i] = 0.05F;
+  }
+  const auto fused = stereo_depth(views, {}, few_planes());
+  ASSERT_GT(fused.prior->pixels, 0);
+  for (const StereoDepth& view : fused.views) {
+    EXPECT_FALSE(view.compared.empty());
+    for (const float depth : view.depth.values) ASSERT_TRUE(std::isfinite(depth) && depth > 0) << depth;
+  }
+}
+
 // Grain hides the plane at the photographs' own size, and is a quarter as large, by area, at half of it: the first pass
 // matches, the second does not.
 TEST(PlaneSweepStereo, AUnitThatTheSecondPassDoesNotConfirmIsNone) {

@@ -13,6 +13,13 @@ TEST(DistinctNames, ASecondOneOfTheSameNameIsNumbered) {
   EXPECT_EQ(names.of("room"), "room_3");
 }
 
+TEST(DistinctNames, AFolderInANameIsNoFolder) {
+  DistinctNames names;
+  EXPECT_EQ(names.of("left/001"), "left_001");
+  EXPECT_EQ(names.of("../left_001"), ".._left_001");
+  EXPECT_EQ(names.of("left_001"), "left_001_2");
+}
+
 TEST(DistinctNames, ANumberThatIsTakenIsPassedOver) {
   DistinctNames names;
   EXPECT_EQ(names.of("room_2"), "room_2");

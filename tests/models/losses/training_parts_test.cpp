@@ -190,6 +190,17 @@ TEST(Discriminator, TheDinoOneTrainsItsHeadsOnly) {
   EXPECT_EQ(discriminator.logits(random_images(2, 48, 8)).sizes(), (std::vector<int64_t>{2, 48}));
 }
 
+TEST(Discriminator, TheDinoOneNamesABlockThatIsNotThere) {
+  DinoDiscriminatorOptions options = small_dino();
+  options.key_depths = {0, 3};
+  EXPECT_EQ(
+      test::error_of([&] { options.check(); }),
+      "discriminator.key_depths: expected blocks from 0 to 2, ascending, each once, found 3 behind 0; name blocks of "
+      "that network.");
+  options.key_depths = {1, 1};
+  EXPECT_NE(test::error_of([&] { options.check(); }), "");
+}
+
 TEST(ActivationCheckpoint, GivesTheSameValuesAndGradients) {
   const auto draw = [](uint64_t seed) { return torch::randn({5, 5}, generator(seed), torch::kFloat32); };
   auto weight = draw(1).requires_grad_(true);

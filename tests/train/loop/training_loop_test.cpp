@@ -15,6 +15,7 @@
 #include <csignal>
 #include <cstdio>
 #include <cstring>
+#include <sstream>
 #include <thread>
 #include <utility>
 #include <vector>
@@ -133,6 +134,58 @@ TEST(TrainingLoop, KeepsTheNewestCheckpoints) {
   options.keep_last = 2;
   train(test::toy_run(folder.path(), objective), options, TrainingStart::kFresh);
   EXPECT_EQ(CheckpointFolder(folder.path() / "checkpoints", {}).steps(), (std::vector<int64_t>{20, 24}));
+}
+
+// A file that was damaged is passed over, and what is written after it is behind it.
+TEST(TrainingLoop, KeepsWhatItHasJustWrittenBesideALaterDamagedCheckpoint) {
+  const test::TemporaryFolder folder;
+  test::ToyObjective objective;
+  auto options = short_run();
+  options.keep_last = 3;
+  train(test::toy_run(folder.path(), objective), options, TrainingStart::kFresh);
+  const auto checkpoints = folder.path() / "checkpoints";
+  write_file_atomically(checkpoints / "step_000000024.safetensors", "damaged");
+  Checkpoint later = CheckpointFolder(checkpoints, {}).newest()->checkpoint;
+  ASSERT_EQ(later.step, 20);
+  later.step = 22;
+  CheckpointFolderOptions one;
+  one.keep_last = 1;
+  const auto file = CheckpointFolder(checkpoints, one).save(later);
+  EXPECT_EQ(load_checkpoint(file).step, 22);
+  EXPECT_EQ(CheckpointFolder(checkpoints, {}).steps(), (std::vector<int64_t>{22, 24}));
+}
+
+// A second Ctrl-C, or one that waits too long, ends a run in the midst of a validation: its step is kept.
+TEST(TrainingLoop, MakesUpForAValidationThatAStopEnded) {
+  const test::TemporaryFolder whole, stopped;
+  auto options = short_run();
+  test::ToyObjective objective;
+  train(test::toy_run(whole.path(), objective), options, TrainingStart::kFresh);
+  options.steps = 8;
+  options.learning_rate.decay_end_step = 24;
+  {
+    test::ToyObjective begun;
+    train(test::toy_run(stopped.path(), begun), options, TrainingStart::kFresh);
+  }
+  const auto file = stopped.path() / "metrics.jsonl";
+  std::istringstream text(read_file(file));
+  std::string kept;
+  for (std::string line; std::getline(text, line);) {
+    if (line.find("validation_") == std::string::npos) kept += line + "\n";
+  }
+  ASSERT_NE(kept, read_file(file));
+  write_file_atomically(file, kept);
+  options.steps = 24;
+  test::ToyObjective resumed;
+  train(test::toy_run(stopped.path(), resumed), options, TrainingStart::kResume);
+  const MetricsLog expected(whole.path() / "metrics.jsonl", 24), log(file, 24);
+  EXPECT_EQ(log.series("validation_error"), expected.series("validation_error"));
+  // Nothing is left to train, and what was measured at its end is known still.
+  test::ToyObjective ended;
+  const auto summary = train(test::toy_run(stopped.path(), ended), options, TrainingStart::kResume);
+  ASSERT_EQ(summary.validation.size(), 1U);
+  EXPECT_EQ(summary.validation[0].second, expected.series("validation_error").back().second);
+  EXPECT_EQ(MetricsLog(file, 24).series("validation_error").size(), 3U);
 }
 
 TEST(TrainingLoop, SkipsAStepThatIsNotFinite) {

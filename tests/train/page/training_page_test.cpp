@@ -25,10 +25,9 @@ using testing::HasSubstr;
 TEST(TrainingPage, ShowsHowARunWent) {
   const Page page = training_page(test::source_root() / "configs/tiny/training/level/part_4");
   EXPECT_EQ(page.title, "gld train level");
-  EXPECT_EQ(
-      page.verdict,
-      "400 steps were done with 5451811 parameters, the last part of them in 41.6 minutes; the loss ended at 0.241, from "
-      "0.251; on held-out scenes flow loss went from 0.134 to 0.122.");
+  EXPECT_EQ(page.verdict,
+            "400 steps were done with 5451811 parameters, in 41.6 minutes; the loss ended at 0.241, from "
+            "0.251; on held-out scenes flow loss went from 0.134 to 0.122.");
   EXPECT_THAT(page.doubts, testing::IsEmpty());
   const auto& parts = page.data.at("parts");
   ASSERT_EQ(parts.size(), 3u);
@@ -79,6 +78,23 @@ TEST(TrainingPage, ThinsLongCoursesAndSaysWhatWentWrong) {
   for (const auto& picture : page.data.at("parts")[2].at("pictures"))
     names += picture.at("name").get<std::string>() + ", ";
   EXPECT_EQ(names, "before the first step, after step 300, after step 400, ");
+}
+
+TEST(TrainingPage, SharpnessIsBestWhereItIsTheTruths) {
+  const test::TemporaryFolder run;
+  write_file_atomically(
+      run.path() / "metrics.jsonl",
+      "{\"step\":1,\"loss\":3,\"communication_fraction\":0.1,\"validation_sharpness\":0.5}\n"
+      "{\"step\":2,\"loss\":2,\"communication_fraction\":0.1,\"validation_sharpness\":0.9}\n"
+      "{\"step\":3,\"loss\":1,\"communication_fraction\":0.1,\"validation_sharpness\":1.4}\n");
+  write_file_atomically(run.path() / "report.json", "{\"command\": \"train decoder\", \"steps\": 3}");
+  const Page page = training_page(run.path());
+  const auto& parts = page.data.at("parts");
+  EXPECT_THAT(parts[1].at("rows").dump(), HasSubstr("[\"sharpness\",\"0.5\",\"0.9\",\"1.4\",\"3\"]"));
+  const auto& charts = parts[0].at("charts");
+  ASSERT_EQ(charts.size(), 2u);
+  EXPECT_EQ(charts[0].at("series").size(), 1u);
+  EXPECT_EQ(charts[1].at("title"), "Held-out sharpness, of the truth's");
 }
 
 // The run is as the training loop leaves it in between.

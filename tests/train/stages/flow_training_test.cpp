@@ -147,7 +147,7 @@ TEST_F(TrainedChain, ResumingWithOtherOptionsSaysWhichDiffer) {
   options.may_change = {"data.views.longest_interval"};
   EXPECT_THAT(test::error_of([&] { train_level(options, {}); }),
               testing::EndsWith("with --may-change loop.learning_rate.peak."));
-  // How far it goes and the course of its rate are not what it is: scripts/train_tiny.sh branches off runs so.
+  // How far it goes and the course of its rate are not what it is.
   options.loop.learning_rate.peak = peak;
   options.loop.learning_rate.schedule = LearningRateSchedule::kLinear;
   options.loop.learning_rate.decay_start_step = options.loop.steps;
