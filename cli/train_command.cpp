@@ -47,10 +47,11 @@ Command make_train_command() {
   command.summary =
       "Train a part of a model: backbone, decoder, depth, blending, level, cascade, refiner or sample-refiner";
   command.description =
-      "Example: gld train backbone --config configs/tiny/backbone.yaml --model configs/tiny --out "
-      "runs/backbone\n"
+      "Example: gld train decoder --config configs/tiny/first_training.yaml --model configs/tiny --out "
+      "runs/first_training\n"
       "Each kind reads a bundle (--model) and writes one with the trained part (model/ in the run folder), "
-      "which the next kind takes. Order: backbone, decoder, depth, blending, then gld stats, level, cascade. "
+      "which the next kind takes. Order: backbone, decoder, backbone once more for the head alone "
+      "(--training head_only), depth, blending, then gld stats, level, cascade. "
       "--resume continues a run.";
   command.subcommands = {
       stage_command("backbone",
@@ -62,8 +63,9 @@ Command make_train_command() {
                     {"objective.start"}),
       stage_command("blending", "How photographs are laid together in target views, by which depth",
                     train_blending, {"objective.start"}),
-      stage_command("level", "M_L, which generates a level from noise", train_level,
-                    {"level", "objective.start"}),
+      stage_command("level",
+                    "The first generator (M1 of the published model), which makes a level from noise",
+                    train_level, {"level", "objective.start"}),
       stage_command("cascade", "a cascade, which generates a level from a deeper one", train_cascade,
                     {"objective.flow.start"}),
       stage_command(

@@ -18,8 +18,8 @@ void SyntheticOptions::visit(FieldVisitor& visitor) {
   visit_choice(
       visitor,
       {"rooms",
-       "tidy ones (first), also cluttered, glossy and dark ones and hand-held cameras (varied), also rough "
-       "and stained surfaces, yards and the faults of cameras (photographic)"},
+       "first, varied or photographic: tidy ones, also cluttered, glossy and dark ones and hand-held cameras, "
+       "also rough and stained surfaces, yards and the faults of cameras"},
       rooms, {"first", "varied", "photographic"});
   visit_seed(visitor, seed, "the generator (training and held-out scenes use different ones)");
   visitor.integer({"first_scene", "number of the first scene"}, first_scene,

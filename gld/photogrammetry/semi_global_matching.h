@@ -27,7 +27,8 @@ struct MatchedPlanes {
 };
 
 // Hirschmueller, "Stereo Processing by Semiglobal Matching and Mutual Information", PAMI 2008, with eight paths: the
-// four that come from above and the left in one pass down, the others in one pass up. Planes within one_minimum of the best are no second one.
+// four that come from above and the left in one pass down, the others in one pass up. Planes within one_minimum of the
+// best are no second one.
 MatchedPlanes match_semi_globally(const CostVolume& volume, const StereoPicture& picture,
                                   const PathPenalties& penalties, int64_t one_minimum,
                                   const KernelTable& kernels);

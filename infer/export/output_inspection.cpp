@@ -129,6 +129,11 @@ ordered_json next_command(const std::string& kind, const std::string& state,
     const auto found = following_commands().find(kind);
     if (found == following_commands().end()) return {};
     std::string command = found->second;
+    // A head that was trained on a backbone with its decoder, whose depth can be mended next.
+    std::error_code none;
+    if (kind == "train backbone" &&
+        std::filesystem::exists(folder / "model" / "rgb_decoder.safetensors", none))
+      command = "gld train depth --model RUN/model --out runs/depth";
     // The word that RUN is a part of.
     const size_t at = command.find("RUN"), end = std::min(command.find(' ', at), command.size());
     return command.replace(at, end - at, shell_word(run + command.substr(at + 3, end - at - 3)));

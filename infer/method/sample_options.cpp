@@ -206,8 +206,8 @@ void SampleOptions::visit(FieldVisitor& visitor) {
                 photograph_use);
   visitor.texts(
       {"outputs",
-       "what to make: image, depth, rays, points, latents, splats, page (splats are 3D Gaussians, with image "
-       "and depth; page shows all of them)"},
+       "what to make, of image, depth, rays, points, latents, splats and page (splats are 3D Gaussians, with "
+       "image and depth; page shows all of them)"},
       outputs);
   visitor.text({"geometry_model",
                 "bundle that takes depth, rays and points off the generated images; empty: the model's own"},
@@ -219,11 +219,12 @@ void SampleOptions::visit(FieldVisitor& visitor) {
        "an encoder for them"},
       geometry_cameras, {"found", "given"});
   visit_seed(visitor, seed, "the noise, and of splats the order of views");
-  visit_choice(visitor,
-               {"quality",
-                "how to sample: as the solver, guidance and approximate options say, "
-                "or a fixed choice instead of them"},
-               quality, sampling_quality_names());
+  visit_choice(
+      visitor,
+      {"quality",
+       "published, exact or fast: how to sample, in the place of the solver, guidance and approximate "
+       "options"},
+      quality, sampling_quality_names());
   visitor.real({"tolerance",
                 "instead of them: the largest relative error of the latents, "
                 "for which the cheapest measured way is taken; 0: "

@@ -34,10 +34,11 @@ void keep_still(torch::nn::Module& module, const std::string& beginning) {
 }  // namespace
 
 void BackboneObjectiveOptions::visit(FieldVisitor& visitor) {
-  visit_choice(visitor,
-               {"training",
-                "backbone and DPT head from_scratch or from_bundle (going on), or head_only (the bundle's)"},
-               training, {"from_scratch", "from_bundle", "head_only"});
+  visit_choice(
+      visitor,
+      {"training",
+       "from_scratch, from_bundle or head_only: backbone and DPT head, or the head alone, on what the bundle has"},
+      training, {"from_scratch", "from_bundle", "head_only"});
   visitor.group({"loss", "weights of the geometry losses"}, loss);
   visitor.reals({"pixel_weights", "weight of the pixel error read off each level, from level 0"},
                 pixel_weights, {0.0, 1e6});
