@@ -111,9 +111,10 @@ TEST_F(OutputInspection, OfAFinishedRunNamesWhatUsuallyFollows) {
   EXPECT_EQ(next_of("a", "train backbone"),
             "gld train decoder --model " + path("a").string() + "/model --out runs/decoder");
   // A depth head that was trained on a backbone which has its decoder.
+  next_of("head", "train backbone");
   std::filesystem::create_directories(path("head/model"));
   write_file_atomically(path("head/model/rgb_decoder.safetensors"), "weights");
-  EXPECT_EQ(next_of("head", "train backbone"),
+  EXPECT_EQ((*inspect_output(path("head")))["next"],
             "gld train depth --model " + path("head").string() + "/model --out runs/depth");
   EXPECT_EQ(next_of("my run", "sample"),
             "gld splat fit --run '" + path("my run").string() + "' --out runs/splats");
