@@ -13,7 +13,7 @@ Command make_convert_command() {
   command.name = "convert";
   command.summary = "Convert the published weight files into a model bundle";
   command.description =
-      "Example: gld convert --release GLD --out models/gld-da3\n"
+      "Example: gld convert --release GLD --out bundles/gld-da3\n"
       "Takes the published files of backbones (DA3, VGGT, DINOv2, autoencoders), GLD's .pt files and latent statistics. "
       "Every tensor must be known and of the right shape. "
       "Parts can be converted one after the other into the same folder.";

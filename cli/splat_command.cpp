@@ -52,7 +52,7 @@ Command make_spectrum_command() {
   command.name = "splat spectrum";
   command.summary = "Measure what splatting leaves of the frequencies of latent spaces";
   command.description =
-      "Example: gld splat spectrum --scenes rooms/scenes --models configs/tiny models/taef2 --out runs/spectrum\n"
+      "Example: gld splat spectrum --scenes rooms/scenes --models configs/tiny bundles/taef2 --out runs/spectrum\n"
       "Latents that are the same from everywhere keep theirs, as a texture fixed in the world does (the control).";
   command.options = options;
   command.run = [options](const std::vector<std::string>&) {
@@ -68,7 +68,7 @@ Command make_evaluation_command() {
   command.name = "splat eval";
   command.summary = "Measure what Gaussians show of views that they were not fitted to";
   command.description =
-      "Example: gld splat eval --synthetic 8 --input-views 5 --model models/taef2 --out runs/splat_eval\n"
+      "Example: gld splat eval --synthetic 8 --input-views 5 --model bundles/taef2 --out runs/splat_eval\n"
       "In colours, and in a model's latents that its decoder turns into pictures, beside what decoding alone loses.";
   command.options = options;
   command.usual = {{"Scenes", {"scenes", "synthetic", "synthetic_seed", "held_out", "input_views"}},

@@ -71,8 +71,8 @@ TEST_F(ShippedAblations, ArePlannedWhereWeightsAndScenesAreGiven) {
   const test::TemporaryFolder given;
   fs::current_path(given.path());
   fs::create_directory_symlink(recipes, "configs");
-  write_random_bundle("models/gld-da3", small_bundle_options(), 1);
-  write_random_bundle("models/taef2", taef2, 1);
+  write_random_bundle("bundles/gld-da3", small_bundle_options(), 1);
+  write_random_bundle("bundles/taef2", taef2, 1);
   for (const char* scenes : {"data/re10k_test/scene", "data/scannet_test", "data/scannet_test_1500"})
     fs::create_directories(scenes);
   for (const fs::path& file : files) {
