@@ -54,6 +54,10 @@ files() {
   seed=$(next_seed safetensors)
   log=$said/files_$seed.log
   scripts/fuzz.sh --seed "$seed" 20 >"$log" 2>&1 || true
+  if ! grep -qE '^fuzz: .*number_of_executed_units| failed; ' "$log"; then
+    echo "attack: scripts/fuzz.sh ended before it read a file; see $log." >&2
+    exit 1
+  fi
   while read -r kind units; do note "$kind" "$seed" "$units" 20 0; done \
     < <(sed -nE 's/^fuzz: ([a-z0-9_]+): number_of_executed_units: ([0-9]+), .*/\1 \2/p' "$log")
   for kind in $(sed -nE 's/^fuzz: ([a-z0-9_]+) failed; .*/\1/p' "$log"); do note "$kind" "$seed" 0 20 1; done

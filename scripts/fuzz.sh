@@ -28,7 +28,8 @@ else
 fi
 cmake --build "$build" --target "${kinds[@]/#/fuzz_}"
 
-export LSAN_OPTIONS=suppressions=$PWD/tests/leak_suppressions.txt:print_suppressions=0
+# Relative to this folder, whose own path may have a space.
+export LSAN_OPTIONS=suppressions=tests/leak_suppressions.txt:print_suppressions=0
 # libFuzzer's limit counts what AddressSanitizer keeps of freed memory as well: it is told to keep little.
 export ASAN_OPTIONS=quarantine_size_mb=16:detect_odr_violation=0
 found=$PWD/build/fuzz_found

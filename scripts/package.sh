@@ -50,7 +50,7 @@ notice_of() {
 }
 
 # All libraries but LibTorch with what lies beside it, and the C library with what belongs to it.
-ldd "$build_folder/cli/gld" | awk '$2 == "=>" && $3 ~ /^\// { print $1, $3 }' | while read -r soname path; do
+ldd "$build_folder/cli/gld" | sed -nE 's/^\t([^ ]+) => (\/.*) \(0x[0-9a-f]+\)$/\1\t\2/p' | while IFS=$'\t' read -r soname path; do
   case $path in "$(realpath "${libtorch:?}")"/*) continue ;; esac
   case $soname in
     libc.so.* | libm.so.* | libdl.so.* | libpthread.so.* | librt.so.* | libresolv.so.* | libnsl.so.* | libutil.so.*) continue ;;
@@ -104,3 +104,4 @@ chmod 755 "$root/bin/gld"
 tar -C "$packages" -cJf "$packages/$name.tar.xz" "$name"
 rm -rf "$root"
 ls -l "$packages/$name.tar.xz"
+echo "$packages/$name.tar.xz"

@@ -29,7 +29,7 @@ trap cleanup EXIT
 
 if [ -z "$libtorch" ]; then release=${release:-bookworm}; else release=${release:-trixie}; fi
 # Its last line names the file.
-package=$(scripts/package.sh ${libtorch:+--libtorch "$libtorch"} | tee >(cat >&2) | tail -1 | awk '{ print $NF }')
+package=$(scripts/package.sh ${libtorch:+--libtorch "$libtorch"} | tee >(cat >&2) | tail -1)
 echo "test_package: a bare Debian $release"
 debootstrap --variant=minbase "$release" "$root" "$mirror" >"$root.log" 2>&1 || { tail -3 "$root.log" >&2; exit 1; }
 rm -f "$root.log"

@@ -20,7 +20,7 @@ if [ ! -f "$archer" ]; then
   exit 1
 fi
 export OMP_TOOL_LIBRARIES=$archer
-export TSAN_OPTIONS="suppressions=$PWD/scripts/thread_sanitizer.supp ignore_noninstrumented_modules=1 halt_on_error=0 exitcode=66 log_path=$work/race"
+export TSAN_OPTIONS="suppressions=scripts/thread_sanitizer.supp ignore_noninstrumented_modules=1 halt_on_error=0 exitcode=66 log_path=$work/race"
 # That a race is seen at all, in OpenMP's loops too: this has one.
 printf 'int main() { int x = 0;\n#pragma omp parallel for num_threads(2)\nfor (int i = 0; i < 1000; ++i) x += i;\nreturn x == 1; }\n' >"$work/probe.cpp"
 clang++-14 -O1 -g1 -fsanitize=thread -fopenmp "$work/probe.cpp" -o "$work/probe"

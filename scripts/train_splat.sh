@@ -38,7 +38,7 @@ if [ "$action" = keep ]; then
     exit 1
   fi
   cp "$latest"/*.safetensors "$recipe/"
-  cp "$runs/stats/model/seen_scenes.json" "$recipe/"
+  if [ -f "$runs/stats/model/seen_scenes.json" ]; then cp "$runs/stats/model/seen_scenes.json" "$recipe/"; fi
   exit 0
 fi
 

@@ -42,7 +42,7 @@ if [ "$action" = keep ]; then
         mkdir "$so_far.partial/$stage/validation"
         cp "$(find "$runs/$stage/validation" -name 'step_*.png' | sort | tail -1)" "$so_far.partial/$stage/validation/"
       fi
-    else
+    elif [ -d "$runs/$stage/checkpoints" ]; then
       mkdir "$so_far.partial/$stage/checkpoints"
       find "$runs/$stage/checkpoints" -name 'step_*.safetensors' | sort | tail -1 |
         xargs -r cp -t "$so_far.partial/$stage/checkpoints"

@@ -2,6 +2,7 @@
 
 #include "gld/base/command_options.h"
 #include "gld/report/progress.h"
+#include "gld/report/shell_word.h"
 #include "gld/report/table.h"
 
 #include <algorithm>
@@ -143,13 +144,15 @@ std::string command_text(const Ablation& ablation) {
   const AblateOptions& options = ablation.options;
   const auto list = [](const auto& values) { return fmt::format("{}", fmt::join(values, ",")); };
   const AblateOptions defaults;
-  std::string text = "gld ablate --config " + ablation.file.string() + " --out " + options.out;
-  text += " --model " + options.model + " --seeds " + list(options.seeds);
-  if (!options.with_runs.empty()) text += " --with-runs " + list(options.with_runs);
-  if (!options.cache.empty()) text += " --cache " + options.cache;
+  std::string text = "gld ablate --config " + shell_word(ablation.file.string());
+  text += " --out " + shell_word(options.out) + " --model " + shell_word(options.model);
+  text += " --seeds " + list(options.seeds);
+  if (!options.with_runs.empty()) text += " --with-runs " + shell_word(list(options.with_runs));
+  if (!options.cache.empty()) text += " --cache " + shell_word(options.cache);
   if (options.smoke) text += " --smoke";
-  if (!options.only.empty()) text += " --only " + list(options.only);
-  if (!options.overrides.empty()) text += " --overrides " + list(options.overrides);
+  if (!options.only.empty()) text += " --only " + shell_word(list(options.only));
+  if (!options.overrides.empty()) text += " --overrides " + shell_word(list(options.overrides));
+  if (options.bootstrap != defaults.bootstrap) text += fmt::format(" --bootstrap {}", options.bootstrap);
   if (options.threads != defaults.threads) text += fmt::format(" --threads {}", options.threads);
   if (options.device != defaults.device) text += " --device " + options.device;
   return text;
@@ -242,6 +245,7 @@ nlohmann::ordered_json ablation_json(const Ablation& ablation, const AblationPla
                               {"repeat_with", command_text(ablation)},
                               {"smoke", ablation.options.smoke},
                               {"seeds", ablation.options.seeds}};
+  json["reads"] = numbers_read(ablation, plan);
   for (const OtherRun& other : results.others) {
     json["other_runs"].push_back({{"run", other.folder.string()},
                                   {"seeds", other.seeds},

@@ -13,17 +13,22 @@
 namespace gld {
 namespace {
 
-std::string column_of(const VariantDescription& variant, const MetricDescription& metric) {
-  const auto own = variant.columns.find(metric.name);
-  return own == variant.columns.end() ? metric.column : own->second;
-}
-
 const VariantNumbers& numbers_of(const std::vector<VariantNumbers>& numbers, const std::string& variant) {
   return *std::find_if(numbers.begin(), numbers.end(),
                        [&](const VariantNumbers& one) { return one.variant == variant; });
 }
 
+// Each run of a stage that is repeated has scenes of its own, whatever they are called.
+std::string scene_of_run(const VariantRun& run, size_t repeat, const std::string& scene) {
+  return run.results.size() == 1 ? scene : fmt::format("{}, run {}", scene, repeat);
+}
+
 }  // namespace
+
+std::string column_of(const VariantDescription& variant, const MetricDescription& metric) {
+  const auto own = variant.columns.find(metric.name);
+  return own == variant.columns.end() ? metric.column : own->second;
+}
 
 std::vector<VariantNumbers> collect_numbers(const Ablation& ablation, const AblationPlan& plan,
                                             const StageCache& cache,
@@ -35,7 +40,8 @@ std::vector<VariantNumbers> collect_numbers(const Ablation& ablation, const Abla
     numbers.variant = variant.name;
     for (const VariantRun& run : plan.runs) {
       if (run.variant != number) continue;
-      for (const size_t result : run.results) {
+      for (size_t repeat = 0; repeat < run.results.size(); ++repeat) {
+        const size_t result = run.results[repeat];
         const StageTask& task = plan.tasks[result];
         if (!outcomes[result].done) {
           const std::string problem = outcomes[result].problem;
@@ -48,7 +54,8 @@ std::vector<VariantNumbers> collect_numbers(const Ablation& ablation, const Abla
         const ResultRows rows = read_result_rows(cache.run(task) / ablation.stage(task.stage).results);
         for (const MetricDescription& metric : ablation.metrics) {
           const auto found = numbers_by_scene(rows, column_of(variant, metric), variant.rows);
-          numbers.metrics[metric.name][run.seed].insert(found.begin(), found.end());
+          auto& scenes = numbers.metrics[metric.name][run.seed];
+          for (const auto& [scene, views] : found) scenes[scene_of_run(run, repeat, scene)] = views;
         }
       }
     }

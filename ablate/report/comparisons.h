@@ -22,6 +22,9 @@ struct VariantNumbers {
   std::vector<std::string> problems;               // why seeds are missing
 };
 
+// Returns the column of a result's rows that a metric of this variant is.
+std::string column_of(const VariantDescription& variant, const MetricDescription& metric);
+
 // Reads the rows of every run that is done.
 std::vector<VariantNumbers> collect_numbers(const Ablation& ablation, const AblationPlan& plan,
                                             const StageCache& cache,

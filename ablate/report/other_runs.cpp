@@ -69,6 +69,24 @@ void check_questions(const Json& report, const fs::path& folder, const AblationP
   }
 }
 
+void check_numbers_read(const Json& report, const fs::path& folder, const Json& here) {
+  if (!report.contains("reads")) {
+    fail(
+        {(folder / "report.json").string(), "which numbers it compares",
+         "the report of a program that did not note them",
+         "run it again with --overwrite: stages that are done in its cache are taken where the program is the same"});
+  }
+  for (const auto& [variant, entry] : here.items()) {
+    const Json there = report.at("reads").value(variant, Json::object());
+    for (const auto& [key, value] : entry.items()) {
+      if (there.value(key, Json()) == value) continue;
+      fail({kWhere, fmt::format("the same numbers, of variant '{}' {}: {}", variant, key, value.dump()),
+            fmt::format("{} in '{}'", there.value(key, Json()).dump(), folder.string()),
+            "give it the same description, or leave the folder out"});
+    }
+  }
+}
+
 // A metric without a row was absent in every scene.
 std::vector<VariantNumbers> read_numbers(const Ablation& ablation, const OtherRun& run) {
   const ResultRows rows = read_result_rows(run.folder / "ablation.csv");
@@ -121,6 +139,20 @@ OtherRun described_run(const fs::path& folder, const Json& report, std::map<int6
 
 }  // namespace
 
+nlohmann::ordered_json numbers_read(const Ablation& ablation, const AblationPlan& plan) {
+  nlohmann::ordered_json reads;
+  for (const VariantRun& run : plan.runs) {
+    const VariantDescription& variant = ablation.variants[run.variant];
+    const std::string& stage = plan.tasks[run.results.front()].stage;
+    nlohmann::ordered_json entry{
+        {"stage", stage}, {"file", ablation.stage(stage).results}, {"rows", variant.rows}};
+    for (const MetricDescription& metric : ablation.metrics)
+      entry["metric " + metric.name] = {{"column", column_of(variant, metric)}, {"better", metric.better}};
+    reads[variant.name] = std::move(entry);
+  }
+  return reads;
+}
+
 std::vector<OtherRun> read_other_runs(const Ablation& ablation, const AblationPlan& plan) {
   std::map<int64_t, std::string> owners;
   for (const int64_t seed : ablation.options.seeds) owners[seed] = "this ablation's";
@@ -130,6 +162,7 @@ std::vector<OtherRun> read_other_runs(const Ablation& ablation, const AblationPl
     try {
       others.push_back(described_run(name, report, owners));
       check_questions(report, name, plan);
+      check_numbers_read(report, name, numbers_read(ablation, plan));
     } catch (const Json::exception&) {  // something in it is of another kind
       refuse_report(name);
     }

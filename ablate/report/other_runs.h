@@ -9,6 +9,8 @@
 #include <string>
 #include <vector>
 
+#include <nlohmann/json.hpp>
+
 namespace gld {
 
 // A finished run folder of gld ablate with the same question under other seeds: of another day or machine.
@@ -22,8 +24,12 @@ struct OtherRun {
 
 // Reads those of ablation.options.with_runs. Throws Error where one is not finished, has not measured a variant of this
 // ablation, has a seed that this ablation or another one of them has, or asks another question: stages that differ by
-// more than their seed and the program's version (StageTask::question).
+// more than their seed and the program's version (StageTask::question), or other numbers read.
 std::vector<OtherRun> read_other_runs(const Ablation& ablation, const AblationPlan& plan);
+
+// Returns which numbers of which rows each variant is compared by, as report.json keeps it ("reads"): runs are put
+// together only where they read the same.
+nlohmann::ordered_json numbers_read(const Ablation& ablation, const AblationPlan& plan);
 
 // Adds the numbers as if this ablation had run their seeds too.
 void add_other_runs(const std::vector<OtherRun>& others, std::vector<VariantNumbers>& numbers);

@@ -252,7 +252,8 @@ void measure_errors(const SampleBenchmarkOptions& options, const ModelBundle& bu
   set_thread_count(threads);
   progress.finish();
   const torch::NoGradGuard no_gradients;
-  const double scale = options.guidance_scales.back();
+  // The table of errors is of the largest scale.
+  const double scale = *std::max_element(options.guidance_scales.begin(), options.guidance_scales.end());
   const BenchmarkScene first = scenes.load(0);
   const SampledScene finer = samplers.front()->run(first, reference_method(options, scale, 2));
   comparison.reference_error =

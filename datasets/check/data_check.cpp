@@ -310,8 +310,13 @@ DataCheck check_scene(const Scene& scene, const DataCheckOptions& options, Check
   if (!check.problems.empty()) return check;  // comparing pixels of images that cannot be loaded helps nobody
   look_at_places(scene, options, check);
   if (depth == CheckDepth::kFiles) return check;
-  look_at_poses(scene, options, check);
-  measure_overlap(scene, options, check);
+  try {
+    look_at_poses(scene, options, check);
+    measure_overlap(scene, options, check);
+  } catch (const Error& error) {  // a frame beyond most_images that cannot be decoded
+    check.problems.emplace_back(error.what());
+    return check;
+  }
   if (check.mean_overlap >= 0 && check.mean_overlap < 0.3 && check.poses.best() == PoseMeaning::kAsRead) {
     check.notes.push_back(
         fmt::format("Neighbouring frames share only {:.0f} % of what they see.", 100 * check.mean_overlap));

@@ -170,10 +170,15 @@ Eigen::Isometry3d pose_of_matrix(const json& rows, const AppliedTransform& appli
   return opencv_from_opengl_pose(checked_pose(applied.world_from_listed * listed, where));
 }
 
-std::function<DepthMap()> depth_loader(const std::filesystem::path& file, double unit, double applied_scale) {
-  return [file, unit, applied_scale] {
-    DepthMap depth = file.extension() == ".npy" ? read_depth_npy(file) : read_depth_png(file, unit);
-    for (float& value : depth.metres) value = static_cast<float>(value / applied_scale);
+// Depth is in the unit that poses have without applied_scale: nerfstudio multiplies both by it. unit: what the file says
+// that a step is; without a word a .npy is in that unit, and a PNG in thousandths of it.
+std::function<DepthMap()> depth_loader(const std::filesystem::path& file, std::optional<double> unit) {
+  return [file, unit] {
+    if (file.extension() != ".npy") return read_depth_png(file, unit.value_or(1e-3));
+    DepthMap depth = read_depth_npy(file);
+    if (unit) {
+      for (float& value : depth.metres) value = static_cast<float>(value * *unit);
+    }
     return depth;
   };
 }
@@ -210,7 +215,9 @@ Scene NerfstudioReader::read(const std::filesystem::path& path, const SceneReadi
 
   SceneBuilder builder(name(), folder.filename() == "nerfstudio" ? folder.parent_path() : folder, reading);
   FrameMaker maker;
-  const double depth_unit = json_number_or(content, "depth_unit_scale_factor", 1e-3, where);
+  const auto depth_unit = content.contains("depth_unit_scale_factor")
+                              ? std::optional(json_number(content, "depth_unit_scale_factor", where))
+                              : std::nullopt;
   for (size_t i = 0; i < frames.size(); ++i) {
     const json& frame = frames[i];
     const std::string frame_where = where + " frame " + std::to_string(i);
@@ -232,7 +239,7 @@ Scene NerfstudioReader::read(const std::filesystem::path& path, const SceneReadi
       record.world_from_camera = pose_of_matrix(frame["transform_matrix"], applied, frame_where);
       if (frame.contains("depth_file_path")) {
         const auto depth = inside(folder, json_text(frame, "depth_file_path", frame_where), frame_where);
-        record.load_depth = depth_loader(depth, depth_unit, applied.scale);
+        record.load_depth = depth_loader(depth, depth_unit);
       }
       if (frame.contains("mask_path")) {
         const auto mask = inside(folder, json_text(frame, "mask_path", frame_where), frame_where);

@@ -71,6 +71,7 @@ void write_nerfstudio_layout(const Scene& scene, const std::filesystem::path& fo
   std::filesystem::create_directories(folder / "images");
   std::filesystem::create_directories(folder / "depth");
   Transforms transforms;
+  transforms.depth_unit = 1;  // .npy has the unit of the poses, which nerfstudio takes for millimetres
   for (const Frame& frame : scene.frames) {
     const WrittenFrame written = write_pixels(frame, folder);
     transforms.frames.push_back({written.image, written.depth, frame.camera});

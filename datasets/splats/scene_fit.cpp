@@ -79,6 +79,11 @@ SplatFitViews load_fit_views(const Scene& scene, const ImageSize& size, int64_t 
   for (int64_t i = 0; i < count; ++i) {
     const Frame& frame = *frames[static_cast<size_t>(i)];
     const SizedFrame sized = load_sized(frame, size, FrameParts::kImageAndDepth);
+    const auto& valid = sized.validity.valid;
+    if (!valid.empty() && std::none_of(valid.begin(), valid.end(), [](uint8_t one) { return one != 0; })) {
+      fail({"frame " + frame.name, "a pixel that its mask leaves", "none",
+            "leave the frame out of the scene"});
+    }
     FittedView view{frame.name,
                     sized.camera,
                     loss_target(splat_image_of(sized.image), sized.validity.valid, settings),

@@ -49,6 +49,8 @@ ChildProcess::ChildProcess(const std::vector<std::string>& command, const std::f
   for (std::string& argument : copies) arguments.push_back(argument.data());
   arguments.push_back(nullptr);
   const pid_t parent = ::getpid();
+  // Who started this program may have ignored it, which is inherited: nobody could then say how a child ended.
+  ::signal(SIGCHLD, SIG_DFL);
   process_ = ::fork();
   if (process_ == 0) become(arguments.data(), file, keep_open, parent);
   const int error = errno;
@@ -70,7 +72,9 @@ const std::optional<FinishedProcess>& ChildProcess::poll() {
   const pid_t ended = ::wait4(process_, &status, WNOHANG, &usage);
   if (ended == 0 || (ended < 0 && errno == EINTR)) return finished_;
   FinishedProcess result;
-  result.status = WIFEXITED(status) ? WEXITSTATUS(status) : 128 + WTERMSIG(status);
+  // Where SIGCHLD was ignored meanwhile nobody knows how it ended.
+  constexpr int kUnknown = 125;  // no signal: those are above 128
+  result.status = ended < 0 ? kUnknown : WIFEXITED(status) ? WEXITSTATUS(status) : 128 + WTERMSIG(status);
   result.seconds = std::chrono::duration<double>(std::chrono::steady_clock::now() - start_).count();
   result.peak_bytes = int64_t{usage.ru_maxrss} * 1024;
   finished_ = result;

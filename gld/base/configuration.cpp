@@ -10,6 +10,7 @@
 #include <algorithm>
 #include <charconv>
 #include <cmath>
+#include <cstdlib>
 #include <cstring>
 #include <map>
 #include <optional>
@@ -38,7 +39,8 @@ std::string real_text(double value) {
     std::ostringstream text;
     text.precision(digits);
     text << value;
-    if (std::stod(text.str()) == value) return text.str();
+    // Not std::stod, which throws for numbers below the normal ones.
+    if (std::strtod(text.str().c_str(), nullptr) == value) return text.str();
   }
   return std::to_string(value);
 }

@@ -31,10 +31,14 @@ std::array<uint32_t, 4> philox4x32(PhiloxCounter counter, PhiloxKey key) {
   return counter;
 }
 
+uint64_t fnv1a(const std::string& text) {
+  uint64_t hash = 0xCBF29CE484222325ULL;
+  for (const char letter : text) hash = (hash ^ static_cast<unsigned char>(letter)) * 0x100000001B3ULL;
+  return hash;
+}
+
 PhiloxKey philox_key(uint64_t seed, const std::string& stream) {
-  uint64_t hash = 0xCBF29CE484222325ULL;  // FNV-1a
-  for (const char letter : stream) hash = (hash ^ static_cast<unsigned char>(letter)) * 0x100000001B3ULL;
-  const uint64_t key = mixed_bits(mixed_bits(seed) ^ hash);
+  const uint64_t key = mixed_bits(mixed_bits(seed) ^ fnv1a(stream));
   return {static_cast<uint32_t>(key), static_cast<uint32_t>(key >> 32)};
 }
 

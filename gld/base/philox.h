@@ -12,6 +12,9 @@ using PhiloxCounter = std::array<uint32_t, 4>;
 using PhiloxKey = std::array<uint32_t, 2>;
 std::array<uint32_t, 4> philox4x32(PhiloxCounter counter, PhiloxKey key);
 
+// Returns the FNV-1a hash of a text: the same with every library, as std::hash is not.
+uint64_t fnv1a(const std::string& text);
+
 // Returns the key of a named stream of random numbers: different seeds or names give independent streams.
 PhiloxKey philox_key(uint64_t seed, const std::string& stream);
 

@@ -38,8 +38,8 @@ struct RelativeCameras {
 RelativeCameras relative_cameras(const Views& views, int64_t reference_view = -1,
                                  TranslationUnit unit = TranslationUnit::kLargestComponent);
 
-// Returns the lifted projection of PRoPE, P = K_norm [R | t] as a 4x4 matrix, from the view's reference frame to
-// normalised image coordinates; K_norm holds fx/W, fy/H, cx/W - 0.5, cy/H - 0.5 (DESIGN.md section 4, "PRoPE").
+// Returns K_norm of PRoPE's lifted projection P = K_norm [R | t] as a 4x4 matrix; it holds fx/W, fy/H, cx/W - 0.5,
+// cy/H - 0.5 (DESIGN.md section 4, "PRoPE").
 Eigen::Matrix4d lifted_intrinsics(const Eigen::Matrix3d& intrinsics, double width, double height);
 
 // Returns the source whose camera stands nearest to that view's, of several the first. views has a source.

@@ -13,7 +13,8 @@ namespace gld {
 
 // Returns the weights w_j for a step from `start` to `next` and values D_j at the flow times `nodes`, all different.
 // The limits at both ends are exact: a node at t = 1 (log-SNR minus infinity) drops out of the polynomial unless the
-// step starts there, in which case D is linear in rho; a step to t = 0 (where x is D itself) extrapolates in t.
+// step starts there, in which case D is linear in rho; a step to t = 0, where x is D itself, takes the first node's
+// D as it is.
 std::vector<double> data_prediction_weights(double start, double next, const std::vector<double>& nodes);
 
 // Returns DPM-Solver++(2M)'s own second-order weights: the difference quotient enters with one half of the first-order

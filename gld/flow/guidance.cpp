@@ -53,10 +53,7 @@ GuidedField::GuidedField(BranchedField& field, const GuidanceOptions& options)
 
 torch::Tensor GuidedField::velocity(const torch::Tensor& state, double t) {
   ++report_.evaluations;
-  if (!options_.acts_at(t)) {
-    ++report_.outside_interval;
-    return field_.conditional(state, t);
-  }
+  if (!options_.acts_at(t)) return field_.conditional(state, t);
   ++report_.unconditional;
   return field_.guided(state, t, options_.guidance_scale);
 }

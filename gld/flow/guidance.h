@@ -55,9 +55,9 @@ class BranchedField {
 
 // What a solve cost by branch.
 struct GuidanceReport {
-  int64_t evaluations = 0;       // of the guided field
-  int64_t unconditional = 0;     // of them with the unconditional branch
-  int64_t outside_interval = 0;  // without it because of the interval or a scale of 1
+  int64_t evaluations = 0;  // of the guided field
+  int64_t unconditional =
+      0;  // of them with the unconditional branch, which the interval or a scale of 1 leaves out
 };
 
 class GuidedField : public VelocityField {

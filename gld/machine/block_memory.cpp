@@ -93,7 +93,13 @@ class KeptBlocks {
     if (!memory) {
       release();  // what is kept may be what is missing
       memory = new_memory(bytes + sizeof(BlockHeader), capacity);
-      if (!memory) throw std::bad_alloc();
+      if (!memory) {
+        if (capacity >= kSmallestKept) {
+          const std::lock_guard<std::mutex> lock(mutex_);
+          in_use_ -= capacity;
+        }
+        throw std::bad_alloc();
+      }
     }
     return new (memory) BlockHeader{capacity};
   }

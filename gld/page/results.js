@@ -48,7 +48,8 @@ function rangeOf(values, logarithmic) {
     low = Math.min(low, value);
     high = Math.max(high, value);
   }
-  if (high > low) return [low, high];
+  // Between values that differ by rounding alone no tick could be told from the next.
+  if (high - low > 1e-12 * Math.max(Math.abs(low), Math.abs(high))) return [low, high];
   return logarithmic ? [low / 2, high * 2] : [low - 1, high + 1];
 }
 

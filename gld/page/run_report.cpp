@@ -10,7 +10,6 @@ namespace gld {
 namespace {
 
 constexpr uint64_t kLargestReport = uint64_t{1} << 28;
-constexpr const char* kScaleWarning = "The scale of the predicted depth is not known";
 
 // Turns "a word" into "A word."
 std::string as_sentence(std::string text) {
@@ -56,7 +55,7 @@ std::vector<std::string> doubts_of_run(const nlohmann::ordered_json& report) {
   for (const auto& warning : warnings) {
     if (!warning.is_string()) continue;
     const auto text = warning.get<std::string>();
-    add(text.rfind(kScaleWarning, 0) == 0
+    add(text.rfind(kScaleNotKnown, 0) == 0
             ? "How large the scene is is not known: depth, cloud and cameras are in the model's own unit"
             : text);
   }

@@ -12,6 +12,9 @@ namespace gld {
 
 // What the report.json of a run says. A report of another version may lack anything: what it does not say is left out.
 
+// What a warning of gld sample begins with where depth has no unit; the page says it in words of its own.
+constexpr const char* kScaleNotKnown = "The scale of the predicted depth is not known";
+
 // Throws Error where there is none or it is no JSON.
 nlohmann::ordered_json read_run_report(const std::filesystem::path& run);
 

@@ -29,7 +29,9 @@ AxisLayout::AxisLayout(const PlotAxis& axis, const std::vector<double>& values, 
     low /= margin;
     high *= margin;
   } else {
-    const double margin = high > low ? 0.05 * (high - low) : std::max(1e-300, 0.1 * std::abs(high) + 1e-12);
+    // Between values that differ by rounding alone no tick could be told from the next.
+    const bool apart = high - low > 1e-12 * std::max(std::abs(low), std::abs(high));
+    const double margin = apart ? 0.05 * (high - low) : std::max(1e-300, 0.1 * std::abs(high) + 1e-12);
     low -= margin;
     high += margin;
   }

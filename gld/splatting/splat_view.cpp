@@ -1,5 +1,6 @@
 #include "gld/splatting/splat_view.h"
 
+#include "gld/base/error.h"
 #include "gld/kernels/kernel_table.h"
 
 #include <algorithm>
@@ -7,6 +8,7 @@
 #include <cmath>
 #include <cstring>
 #include <limits>
+#include <string>
 
 namespace gld {
 namespace {
@@ -56,6 +58,12 @@ TileRect tiles_of(const VisibleSplat& splat) {
 }
 
 void list_tiles(SplatView& view) {
+  int64_t pairs = 0;
+  for (const VisibleSplat& splat : view.splats) pairs += tiles_of(splat).count();
+  if (pairs > std::numeric_limits<int32_t>::max()) {
+    fail({"the Gaussians of a view", "at most 2^31 - 1 pairs of a Gaussian and a tile that it covers",
+          std::to_string(pairs), "make the picture smaller, or look at the scales of the Gaussians"});
+  }
   const auto tiles = static_cast<size_t>(view.tiles());
   view.tile_first.assign(tiles + 1, 0);
   view.splat_first.assign(1, 0);

@@ -358,9 +358,8 @@ void measure_scenes(const ProcessShare& share, const EvaluationOptions& options,
 void write_sheets(const EvaluationOptions& options, const RunFolder& folder, const SceneRecords& records,
                   const std::vector<SceneEvaluation>& results) {
   const auto sheets = folder.subfolder("sheets");
-  DistinctNames names;
   for (size_t i = 0; i < results.size() && static_cast<int64_t>(i) < options.pictures; ++i) {
-    copy_sheet(records.sheet(static_cast<int64_t>(i)), sheets / (names.of(results[i].scene) + ".png"));
+    copy_sheet(records.sheet(static_cast<int64_t>(i)), sheets / (results[i].scene + ".png"));
   }
   for (const auto& [name, index] : chosen_scenes(results)) {
     copy_sheet(records.sheet(static_cast<int64_t>(index)), folder.path() / (name + "_scene.png"));
@@ -430,9 +429,15 @@ std::string evaluate(const EvaluationOptions& options) {
 
   std::vector<std::vector<SceneEvaluation>> by_count(std::max<size_t>(1, options.source_counts.size()));
   std::vector<std::vector<AttentionCorrespondence>> attention;
+  DistinctNames names;
   for (int64_t index = 0; index < dataset->size(); ++index) {
     const KeptScene kept = records.find(index).value();
-    for (size_t i = 0; i < by_count.size(); ++i) by_count[i].push_back(kept.by_count.at(i));
+    // What compares runs scene by scene needs to tell them apart.
+    const std::string name = names.of(kept.by_count.front().scene);
+    for (size_t i = 0; i < by_count.size(); ++i) {
+      by_count[i].push_back(kept.by_count.at(i));
+      by_count[i].back().scene = name;
+    }
     if (!options.attention_times.empty()) attention.push_back(kept.attention);
   }
 

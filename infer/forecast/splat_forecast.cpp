@@ -1,5 +1,7 @@
 #include "infer/forecast/splat_forecast.h"
 
+#include "datasets/splats/splat_start.h"
+
 #include <algorithm>
 #include <cmath>
 
@@ -16,6 +18,7 @@ SplatWork splat_work(const PlanRequest& request, int64_t patch_side, const Scene
   work.views = request.grid.views;
   work.width = std::max<int64_t>(1, std::lround(shrink * width));
   work.height = std::max<int64_t>(1, std::lround(shrink * height));
+  work.start = settled_start(options.fit.start.from, /*has_depth=*/true, /*has_points=*/false);
   work.gaussians = most_gaussians_of(work, options.fit);
   return work;
 }

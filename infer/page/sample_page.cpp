@@ -259,15 +259,22 @@ Eigen::Vector3d middle_of(const std::vector<PageView>& views, const PointCloud& 
   return low ? (*low + *high) / 2 : Eigen::Vector3d(Eigen::Vector3d::Zero());
 }
 
+// Depth that photographs agree on has the unit of the cameras, with a scale of the head's own or without.
+bool unit_of_depth_is_known(const Json& report) {
+  return report.contains("depth_scale") || report_text_at(report, "/depth_from").rfind("photographs", 0) == 0;
+}
+
 // Returns why the page shows no cloud, or none with cameras; empty where it does.
 std::string cloud_note(const Json& report, const PointCloud& cloud, bool has_file,
                        const PageOptions& options) {
   if (options.page_points == 0) return "The cloud was left out of this page (--page-points 0).";
   if (!has_file) return "This run has no point cloud: it was not asked for (--outputs points).";
   if (cloud.size() == 0) return "The point cloud of this run has no point.";
-  return report_text_at(report, "/points/lifted_by") != "cameras" && !report.contains("depth_scale")
-             ? "The cloud is in the model's own frame, in which the cameras are not known."
-             : "";
+  const auto& noted = report_value(report, "/points/in_world");
+  const bool in_world = noted.is_boolean() ? noted.get<bool>()
+                                           : report_text_at(report, "/points/lifted_by") == "cameras" ||
+                                                 report.contains("depth_scale");
+  return !in_world ? "The cloud is in the model's own frame, in which the cameras are not known." : "";
 }
 
 }  // namespace
@@ -305,7 +312,7 @@ Page sample_page(const std::filesystem::path& run, const PageOptions& options) {
   PagePictures pictures;
   page.data["kind"] = "sample";
   page.data["views"] = views_json(views, report, origin, range, pictures);
-  if (has_depth) page.data["depth"] = depth_json(range, metric && report.contains("depth_scale"));
+  if (has_depth) page.data["depth"] = depth_json(range, metric && unit_of_depth_is_known(report));
   page.data["unit"] = metric ? "m" : "";
   page.data["origin"] = {origin.x(), origin.y(), origin.z()};
   page.data["cloud_note"] = cloud_note(report, cloud, has_cloud, options);

@@ -20,6 +20,11 @@ PointLifting lifting_of(const PlacedDepth& depth, const PointCloudOptions& optio
   return depth.placement.predicted.empty() && !depth.unit_known() ? PointLifting::kRays : options.lifting;
 }
 
+bool cloud_is_in_world(const PlacedDepth& depth, const PointCloudOptions& options) {
+  if (depth.placement.alignment) return true;
+  return lifting_of(depth, options) == PointLifting::kCameras && depth.unit_known();
+}
+
 PointCloud point_cloud_of(const PlacedDepth& depth, const std::vector<Camera>& given,
                           const std::vector<Image>& images, const PointCloudOptions& options) {
   const GeometryOutput& geometry = depth.geometry;

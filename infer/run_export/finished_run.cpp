@@ -50,9 +50,12 @@ void require_size(int64_t width, int64_t height, const Camera& camera, const std
         size_text(width, height), "copy the run folder whole, or sample again"});
 }
 
-// The cloud is in the unit of the cameras only where the scale is known or the cameras are the model's own
-// (docs/FILES.md, "Rays"): then the report says how these fit the given ones.
 bool cloud_is_in_world(const nlohmann::json& report) {
+  const auto in_world = report.find("points") != report.end() && report["points"].is_object()
+                            ? report["points"].value("in_world", nlohmann::json())
+                            : nlohmann::json();
+  if (in_world.is_boolean()) return in_world.get<bool>();
+  // Programs that did not note it found a scale, or said how the model's cameras fit the given ones.
   return report.contains("depth_scale") || report.contains("pose_alignment");
 }
 

@@ -431,7 +431,11 @@ void sample(const SampleOptions& options) {
   const bool all_computed = std::none_of(result.flows.begin(), result.flows.end(),
                                          [](const FlowReport& flow) { return flow.kept; });
   if (planned.speed.kept && all_computed && options.preview == 0 && prepared.device.is_cpu()) {
-    learn_from_run(machine_rates_file(), present_rate_key(), timed_stages(planned.plan, stages.records()));
+    try {
+      learn_from_run(machine_rates_file(), present_rate_key(), timed_stages(planned.plan, stages.records()));
+    } catch (const Error& error) {  // a cache that cannot be written costs no run
+      print_warnings({error.what()});
+    }
   }
   run.note("report", "report.json");
   if (options.json) {

@@ -12,6 +12,7 @@
 #include "gld/cameras/resized_camera.h"
 #include "gld/metrics/metric.h"
 #include "gld/metrics/metric_list.h"
+#include "gld/page/run_report.h"
 #include "gld/report/progress.h"
 #include "gld/tensors/tensor_pictures.h"
 #include "gld/tensors/torch_version.h"
@@ -239,7 +240,7 @@ void SamplingOutputs::place(const PipelineResult& result) {
   }
   if (depth_has_scene_unit_) return;
   warnings_.push_back(fmt::format(
-      "The scale of the predicted depth is not known ({}). {}", estimates_text(placement_.estimates),
+      "{} ({}). {}", kScaleNotKnown, estimates_text(placement_.estimates),
       placement_.predicted.empty()
           ? "Depth keeps the model's own unit, points.ply its frame as well, and cameras.json goes without depth."
           : "Depth, points.ply and cameras.json are in the model's own unit, with the cameras that the model "
@@ -271,6 +272,7 @@ void SamplingOutputs::write_points(const PipelineResult& result) {
   const PointLifting lifting = lifting_of(depth, options_.points);
   findings_["points"] = {{"written", cloud.size()},
                          {"lifted_by", point_lifting_names()[static_cast<size_t>(lifting)]},
+                         {"in_world", cloud_is_in_world(depth, options_.points)},
                          {"pixels", counts.pixels},
                          {"unknown_depth", counts.unknown_depth},
                          {"low_confidence", counts.low_confidence},

@@ -344,8 +344,9 @@ void run_splat_evaluation(const SplatEvaluationOptions& options) {
   for (int64_t index = 0; index < dataset->size(); ++index) {
     stop_if_interrupted(fmt::format("{} of {} scenes were done", index, dataset->size()));
     scenes.push_back(evaluated(dataset->scene(index), model, options, settings));
-    export_image(run.subfolder("pictures") / (names.of(scenes.back().name) + ".png"),
-                 to_image(scenes.back().sheet), provenance);
+    scenes.back().name = names.of(scenes.back().name);
+    export_image(run.subfolder("pictures") / (scenes.back().name + ".png"), to_image(scenes.back().sheet),
+                 provenance);
     scenes.back().sheet.reset();
     progress.update(index + 1);
   }

@@ -97,7 +97,7 @@ class Da3Backbone : public Backbone {
     // (views, 1, embed_dim): what known cameras put in the place of the learned camera token; undefined for that one
     torch::Tensor camera_tokens;
   };
-  // Runs blocks first_block..; calls with every level that is reached, up to last_level.
+  // Runs blocks first_block.. and returns every level that is reached, up to last_level.
   std::vector<torch::Tensor> run_blocks(TokenState state, int64_t first_block, int64_t last_level,
                                         const LatentGrid& grid, std::vector<AttentionTap>* taps) const;
   std::vector<torch::Tensor> encode_with_tokens(const torch::Tensor& images, int64_t last_level,

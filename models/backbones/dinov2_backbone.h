@@ -24,7 +24,7 @@ struct Dinov2Sizes {
   int64_t pos_embed_grid = 37;  // rows and columns of the stored position table
   PositionResizing positions = {0.0, true};
 
-  // Visits all but patch_size, embed_dim, num_heads and mlp_ratio, which a model around these layers has too.
+  // Visits num_register_tokens, antialias and interpolate_offset; the rest a model around these layers has too.
   void visit_positions(FieldVisitor& visitor);
   void check() const;
   // Returns how many class and register tokens there are.

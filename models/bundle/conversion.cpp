@@ -446,11 +446,14 @@ ordered_json convert(const ConversionOptions& given) {
     if (!source.network.empty()) require_no_backbone(*file, source.network);
     for (const auto& part : source.parts) refuse_part_that_is_there(options, part.part);
   }
+  for (const auto& [published, path] : given_backbones(options.backbones)) {
+    if (!published.with_head) refuse_part_that_is_there(options, BundlePart::backbone());
+  }
   remove_abandoned_files(options.out);
   const MadeFiles made(options.out);
   try {
     return convert_files(options, bundle, sources);
-  } catch (const Error&) {
+  } catch (...) {  // an interruption, and what LibTorch throws, too
     made.remove();
     throw;
   }

@@ -63,18 +63,23 @@ std::vector<BundlePart> trained_on(const BundlePart& part, const BundleOptions& 
   return parts;
 }
 
+void note_in_metadata(const ModelBundle& bundle, const BundlePart& part, const std::string& key,
+                      const std::string& value) {
+  const auto file = WeightFile::open(bundle.file(part));
+  auto metadata = file->metadata();
+  metadata[key] = value;
+  save_safetensors(
+      bundle.file(part), file->entries(),
+      [&](const TensorEntry& entry) { return read_tensor(*file, entry.name); }, metadata);
+}
+
 void note_trained_on(const ModelBundle& bundle, const BundlePart& part) {
   PartHashes hashes(bundle);
   nlohmann::ordered_json made_of = nlohmann::ordered_json::object();
   for (const auto& other : trained_on(part, bundle.options())) {
     if (bundle.has(other)) made_of[bundle_part_name(other)] = hashes.of(other);
   }
-  const auto file = WeightFile::open(bundle.file(part));
-  auto metadata = file->metadata();
-  metadata[kTrainedOn] = made_of.dump();
-  save_safetensors(
-      bundle.file(part), file->entries(),
-      [&](const TensorEntry& entry) { return read_tensor(*file, entry.name); }, metadata);
+  note_in_metadata(bundle, part, kTrainedOn, made_of.dump());
 }
 
 std::vector<std::string> mixed_parts(const ModelBundle& bundle, const std::vector<BundlePart>& parts,
@@ -98,8 +103,10 @@ std::vector<std::string> mixed_parts(const ModelBundle& bundle, const std::vecto
       // What mends depth may have been trained after what was trained on depth that was not mended; of other parts an
       // earlier program noted fewer.
       const bool came_later = other.kind == BundlePart::Kind::kDepthRefinement;
-      if (!made_of.contains(other_name) && !came_later) continue;
-      if (made_of.value(other_name, "") == hashes.of(other)) continue;
+      const auto noted_hash = made_of.find(other_name);
+      if (noted_hash == made_of.end() && !came_later) continue;
+      // What is no text is no hash of anything.
+      if (noted_hash != made_of.end() && *noted_hash == hashes.of(other)) continue;
       if (!allow_mixed) {
         fail({bundle.file(part).string(), "a part that was trained on the " + other_name + " beside it",
               "one of another " + other_name,

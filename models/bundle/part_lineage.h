@@ -14,6 +14,10 @@ namespace gld {
 // with; for what is shown carried photographs the geometry head too.
 std::vector<BundlePart> trained_on(const BundlePart& part, const BundleOptions& options);
 
+// Writes a text into the metadata of the part's file.
+void note_in_metadata(const ModelBundle& bundle, const BundlePart& part, const std::string& key,
+                      const std::string& value);
+
 // Writes into the part's file what its bundle has of those parts now. It is called for each part right after it was
 // made, and for parts that were made together in the order of bundle_parts().
 void note_trained_on(const ModelBundle& bundle, const BundlePart& part);

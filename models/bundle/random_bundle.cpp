@@ -1,6 +1,7 @@
 #include "models/bundle/random_bundle.h"
 
 #include "gld/base/configuration.h"
+#include "gld/base/philox.h"
 #include "gld/tensors/weight_tensors.h"
 #include "models/decoders/dpt_head.h"
 #include "models/weights/weight_loading.h"
@@ -17,16 +18,6 @@
 
 namespace gld {
 namespace {
-
-// FNV-1a; std::hash may differ between libraries.
-uint64_t hash_of(const std::string& text) {
-  uint64_t hash = 0xcbf29ce484222325;
-  for (const char character : text) {
-    hash ^= static_cast<unsigned char>(character);
-    hash *= 0x100000001b3;
-  }
-  return hash;
-}
 
 bool ends_with(const std::string& text, const std::string& ending) {
   return text.size() >= ending.size() &&
@@ -87,7 +78,7 @@ void write_random_bundle(const std::filesystem::path& folder, const BundleOption
   for (const BundlePart& part : bundle_parts(options)) {
     const std::string part_name = bundle_part_name(part);
     const auto make = [&](const TensorEntry& entry) {
-      auto generator = at::detail::createCPUGenerator(seed ^ hash_of(part_name + "." + entry.name));
+      auto generator = at::detail::createCPUGenerator(seed ^ fnv1a(part_name + "." + entry.name));
       if (entry.name == "mean") return normal(entry.shape, 0, 1, generator);
       if (entry.name == "var") return torch::empty(entry.shape, torch::kFloat32).uniform_(0.5, 2, generator);
       return random_weight(entry, generator).to(torch_dtype(entry.dtype, entry.name));

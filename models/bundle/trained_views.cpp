@@ -1,7 +1,7 @@
 #include "models/bundle/trained_views.h"
 
 #include "gld/files/weight_file.h"
-#include "gld/tensors/weight_tensors.h"
+#include "models/bundle/part_lineage.h"
 
 #include <algorithm>
 #include <charconv>
@@ -15,12 +15,7 @@ constexpr const char* kTrainedViews = "gld:trained_views";
 }  // namespace
 
 void note_trained_views(const ModelBundle& bundle, const BundlePart& part, int64_t views) {
-  const auto file = WeightFile::open(bundle.file(part));
-  auto metadata = file->metadata();
-  metadata[kTrainedViews] = std::to_string(views);
-  save_safetensors(
-      bundle.file(part), file->entries(),
-      [&](const TensorEntry& entry) { return read_tensor(*file, entry.name); }, metadata);
+  note_in_metadata(bundle, part, kTrainedViews, std::to_string(views));
 }
 
 int64_t trained_views(const ModelBundle& bundle) {

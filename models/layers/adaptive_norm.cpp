@@ -57,8 +57,4 @@ std::vector<torch::Tensor> AdaptiveNorm::parts(const Modulation& modulation, con
   return vectors.chunk(count, -1);
 }
 
-torch::Tensor modulate(const torch::Tensor& x, const torch::Tensor& shift, const torch::Tensor& scale) {
-  return x * (1.0 + scale) + shift;
-}
-
 }  // namespace gld

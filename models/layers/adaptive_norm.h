@@ -19,8 +19,8 @@ struct ViewGroup {
 };
 
 // Returns how many views a group has while sampling: equal groups of at most 1536 tokens, or of one view, so that what
-// a group makes on its way stays small. A product packs its weights anew for every so many rows (kRows in
-// gld/kernels/matrix_product.cpp): 1440 rows, two equal packs, are 7 % faster than 900 and then 540.
+// a group makes on its way stays small. A product packs its weights anew for every so many rows (kRowsPackedAtOnce in
+// gld/kernels/product_shares.h): 1440 rows, two equal packs, are 7 % faster than 900 and then 540.
 int64_t views_per_group(int64_t views, int64_t tokens_per_view);
 
 // Calls part for groups of views and puts the results, (views of the group, ...) each, together. While gradients
@@ -51,8 +51,5 @@ class AdaptiveNorm : public torch::nn::Module {
   int64_t channels_;
   std::shared_ptr<Linear> linear_;
 };
-
-// Returns x (1 + scale) + shift.
-torch::Tensor modulate(const torch::Tensor& x, const torch::Tensor& shift, const torch::Tensor& scale);
 
 }  // namespace gld

@@ -1,6 +1,7 @@
 #include "models/layers/vit_block.h"
 
 #include "gld/attention/attention.h"
+#include "gld/tensors/fused_ops.h"
 
 #include <memory>
 
@@ -90,9 +91,7 @@ torch::Tensor VitBlock::attend(const torch::Tensor& x, AttentionScope scope, con
 torch::Tensor VitBlock::feed_forward(const torch::Tensor& x) const {
   const auto expanded = expansion_->forward(x);
   if (sizes_.feed_forward == FeedForward::kMlp) return contraction_->forward(torch::gelu(expanded));
-  const int64_t width = expanded.size(-1) / 2;
-  return contraction_->forward(torch::silu(expanded.narrow(-1, 0, width)) *
-                               expanded.narrow(-1, width, width));
+  return contraction_->forward(silu_gate(expanded));
 }
 
 torch::Tensor VitBlock::forward(const torch::Tensor& x, AttentionScope scope, const RotaryTables& rotary,

@@ -9,6 +9,7 @@
 #include <chrono>
 #include <csignal>
 #include <memory>
+#include <regex>
 #include <thread>
 
 #include <gmock/gmock.h>
@@ -266,6 +267,15 @@ TEST_F(AblateCommand, SeedsOfOtherRunsCountAsIfThisOneHadRunThem) {
       "error: --with-runs: expected stage 'eval' as it is here in everything but its seed, found another one in '" +
           folder("zero") +
           "'; give it the same description, model, --overrides and --smoke, or leave the folder out.\n");
+  write_file_atomically(folder_.path() / "a.yaml",
+                        std::regex_replace(text, std::regex("sample_psnr"), "reconstruction_psnr"));
+  EXPECT_EQ(run_seeds("two", "2", {"--with-runs", folder("zero")}), 2);
+  EXPECT_EQ(
+      text_,
+      "error: --with-runs: expected the same numbers, of variant 'guided' metric psnr: "
+      R"({"better":"higher","column":"reconstruction_psnr"}, found {"better":"higher","column":"sample_psnr"} in ')" +
+          folder("zero") + "'; give it the same description, or leave the folder out.\n");
+  write_file_atomically(folder_.path() / "a.yaml", text);
   EXPECT_EQ(run_seeds("two", "2", {"--with-runs", folder("three")}), 2);
   EXPECT_EQ(text_,
             "error: --with-runs: expected the run folder of a finished gld ablate, found '" +

@@ -206,6 +206,23 @@ TEST(DataCheck, NamesOutliersStandstillAndDamage) {
   EXPECT_EQ(still.problems[0],
             "All cameras are at the same place: without parallax there is no geometry to learn.");
 
+  // Beyond those that are decoded first, the comparison of neighbours meets it.
+  const TemporaryFolder folder;
+  write_scene(without_depth(rendered_scene(0)), "cameras-json", folder.path() / "scene");
+  const Scene written = open_scene(folder.path() / "scene");
+  for (size_t i = 1; i < written.frames.size(); ++i) {
+    const std::string whole = read_file(written.frames[i].image_file);
+    write_file_atomically(
+        written.frames[i].image_file,
+        whole.substr(0, 200) + std::string(whole.size() - 212, 'x') + whole.substr(whole.size() - 12));
+  }
+  DataCheckOptions one;
+  one.most_images = 1;
+  const DataCheck beyond = check_scene(SceneLocation{folder.path() / "scene", ""}, one);
+  EXPECT_EQ(beyond.format, "cameras-json");
+  EXPECT_EQ(beyond.list.size(), 12U);
+  ASSERT_FALSE(beyond.problems.empty());
+
   Scene damaged = rendered_scene(0);
   damaged.frames[0].load_image = [] { return Image(3, 3); };
   EXPECT_EQ(check_scene(damaged, {}).problems[0],

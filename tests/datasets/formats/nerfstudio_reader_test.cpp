@@ -115,7 +115,17 @@ TEST_F(Nerfstudio, AppliedTransformsAreUndone) {
     moved.topRightCorner<3, 1>() *= 2;
     frame["transform_matrix"] = pose_to_json(moved);
   }
+  // Depth is what nerfstudio multiplies by that scale, as it does points: without it, the unit of the plain poses.
+  DepthMap depth(40, 30);
+  for (float& value : depth.metres) value = 2.5F;
+  write_depth_npy(folder_.path() / "d.npy", depth);
+  content_["frames"][0]["depth_file_path"] = "d.npy";
   const Scene undone = open();
+  for (const Frame& frame : undone.frames) {
+    if (frame.has_depth()) {
+      EXPECT_EQ(frame.depth().at(5, 5), 2.5F);
+    }
+  }
   for (size_t i = 0; i < 3; ++i) {
     EXPECT_LT((undone.frames[i].camera.world_from_camera.matrix() -
                plain.frames[i].camera.world_from_camera.matrix())
@@ -156,6 +166,12 @@ TEST_F(Nerfstudio, DepthAndMasks) {
   EXPECT_FALSE(scene.frames[1].has_depth());
   EXPECT_EQ(scene.frames[0].validity().valid.front(), 1);
   EXPECT_EQ(scene.frames[0].validity().valid.back(), 0);
+  // A .npy has the unit of the poses unless the file names one, which is of both.
+  write_depth_npy(folder_.path() / "d.npy", depth);
+  content_["frames"][2]["depth_file_path"] = "d.npy";
+  EXPECT_NEAR(open().frames[0].depth().at(5, 5), 2.5, 1e-6);
+  content_["depth_unit_scale_factor"] = 0.5;
+  EXPECT_NEAR(open().frames[0].depth().at(5, 5), 1.25, 1e-6);
 }
 
 TEST_F(Nerfstudio, DamagedFiles) {

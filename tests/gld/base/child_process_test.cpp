@@ -56,6 +56,18 @@ TEST(ChildProcess, SaysHowItEndedAndKeepsWhatItPrinted) {
   EXPECT_EQ(wait_for(missing).status, 127);
 }
 
+// Where SIGCHLD is ignored the kernel keeps no status, and what failed would count as done.
+TEST(ChildProcess, SaysHowItEndedWhereAChildsEndIsIgnored) {
+  const test::TemporaryFolder folder;
+  const auto before = std::signal(SIGCHLD, SIG_IGN);
+  ChildProcess failed({"/bin/sh", "-c", "exit 3"}, folder.path() / "log.txt", -1);
+  EXPECT_EQ(wait_for(failed).status, 3);
+  ChildProcess unknown({"/bin/sh", "-c", "exit 0"}, folder.path() / "log.txt", -1);
+  std::signal(SIGCHLD, SIG_IGN);
+  EXPECT_EQ(wait_for(unknown).status, 125);
+  std::signal(SIGCHLD, before);
+}
+
 TEST(ChildProcess, IsAskedToStopOnce) {
   const test::TemporaryFolder folder;
   const auto log = folder.path() / "log.txt";

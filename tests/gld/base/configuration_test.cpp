@@ -75,6 +75,13 @@ TEST(Configuration, WhatIsWrittenReadsBackEqual) {
   EXPECT_EQ(to_yaml(from_json), to_yaml(options));
 }
 
+TEST(Configuration, NumbersBelowTheNormalOnesReadBackEqual) {
+  OuterOptions options, copy;
+  options.inner.weight = 1e-310;
+  load_yaml_text(copy, to_yaml(options), "copy.yaml");
+  EXPECT_EQ(copy.inner.weight, 1e-310);
+}
+
 TEST(Configuration, SettingsTakeDottedKeysAndCommaLists) {
   OuterOptions options;
   apply_setting(options, "inner.weight=0.75");

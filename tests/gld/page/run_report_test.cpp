@@ -20,12 +20,12 @@ using testing::HasSubstr;
 using testing::IsEmpty;
 
 TEST(RunReport, SaysEveryDoubtOnce) {
-  const Json report{
-      {"verdict", {{"drawn_rooms_only", true}, {"unfamiliar", false}}},
-      {"warnings",
-       {"the cameras of the photographs are not sure: they turn only",
-        "The scale of the predicted depth is not known (camera_poses: none). Depth, points.ply and cameras.json are in the model's.",
-        "the cameras of the photographs are not sure: they turn only", 7}}};
+  const Json report{{"verdict", {{"drawn_rooms_only", true}, {"unfamiliar", false}}},
+                    {"warnings",
+                     {"the cameras of the photographs are not sure: they turn only",
+                      std::string(kScaleNotKnown) +
+                          " (camera_poses: none). Depth, points.ply and cameras.json are in the model's.",
+                      "the cameras of the photographs are not sure: they turn only", 7}}};
   EXPECT_THAT(
       doubts_of_run(report),
       ElementsAre(

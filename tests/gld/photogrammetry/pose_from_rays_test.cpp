@@ -2,6 +2,7 @@
 
 #include "gld/cameras/pose_alignment.h"
 #include "tests/support/error_of.h"
+#include "tests/support/worst_of.h"
 
 #include <algorithm>
 #include <cmath>
@@ -40,8 +41,10 @@ CameraErrors camera_errors_of(const Camera& found, const Camera& truth) {
   errors.rotation = rotation_angle(found.world_from_camera.linear(), truth.world_from_camera.linear());
   errors.centre = (found.world_from_camera.translation() - truth.world_from_camera.translation()).norm();
   for (int i = 0; i < 2; ++i) {
-    errors.focal = std::max(errors.focal, std::abs(found.intrinsics(i, i) / truth.intrinsics(i, i) - 1));
-    errors.principal = std::max(errors.principal, std::abs(found.intrinsics(i, 2) - truth.intrinsics(i, 2)));
+    errors.focal =
+        test::worst_of(errors.focal, std::abs(found.intrinsics(i, i) / truth.intrinsics(i, i) - 1));
+    errors.principal =
+        test::worst_of(errors.principal, std::abs(found.intrinsics(i, 2) - truth.intrinsics(i, 2)));
   }
   return errors;
 }

@@ -94,6 +94,12 @@ TEST(PlotAxis, LinearTicksAreRound) {
   // Equal values still make an axis.
   EXPECT_TRUE(AxisLayout({"x", AxisScale::kLinear, 0, 0}, {3, 3}, "plot").shows(3));
   EXPECT_TRUE(AxisLayout({"x", AxisScale::kLog, 0, 0}, {3, 3}, "plot").shows(3));
+  // So do values that differ by rounding alone, between which no step moves.
+  double next = 12.3;
+  for (int i = 0; i < 3; ++i) {
+    next = std::nextafter(next, 13.0);
+    EXPECT_LE(AxisLayout({"x", AxisScale::kLinear, 0, 0}, {12.3, next}, "plot").ticks().size(), 12U);
+  }
   const AxisLayout across_zero({"x", AxisScale::kLinear, -0.4, 2}, {}, "plot");
   for (const auto& tick : across_zero.ticks()) EXPECT_NE(tick.label, "-0");
 }

@@ -4,6 +4,7 @@
 #include "tests/gld/splatting/naive_view.h"
 #include "tests/gld/splatting/random_gaussians.h"
 #include "tests/support/error_of.h"
+#include "tests/support/worst_of.h"
 
 #include <algorithm>
 #include <cmath>
@@ -77,11 +78,12 @@ void expect_picture_of_naive(const Comparison& c, InstructionSet set_of_instruct
       if (expected.to_jump[pixel] < kRounding) continue;
       ++compared;
       covered += 1 - expected.transmittance[pixel];
-      worst = std::max(worst, std::abs(fast.transmittance.row(0, y)[x] - expected.transmittance[pixel]));
+      worst =
+          test::worst_of(worst, std::abs(fast.transmittance.row(0, y)[x] - expected.transmittance[pixel]));
       for (int64_t k = 0; k < c.channels; ++k) {
         const double off =
             fast.image.row(k, y)[x] - expected.values[static_cast<size_t>(k * c.width * c.height) + pixel];
-        worst = std::max(worst, std::abs(off));
+        worst = test::worst_of(worst, std::abs(off));
         squares += off * off;
       }
     }
@@ -229,7 +231,7 @@ TEST_P(Compositing, GradientsAreTheNaiveOnes) {
       double largest = 0, worst = 0;
       for (size_t i = 0; i < slow.size(); ++i) {
         largest = std::max(largest, std::abs(static_cast<double>(slow[i])));
-        worst = std::max(worst, std::abs(static_cast<double>(fast[i]) - slow[i]));
+        worst = test::worst_of(worst, std::abs(static_cast<double>(fast[i]) - slow[i]));
       }
       EXPECT_GT(largest, 0) << array.name;
       // The bound. Sums of some hundred pixels of either sign, each off by about 1e-6 of itself.

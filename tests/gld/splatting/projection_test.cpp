@@ -1,12 +1,15 @@
 #include "gld/splatting/projection.h"
 
 #include "gld/splatting/spherical_harmonics.h"
+#include "gld/splatting/splat_view.h"
 #include "tests/gld/splatting/random_gaussians.h"
+#include "tests/support/error_of.h"
 
 #include <cmath>
 #include <functional>
 
 #include <Eigen/LU>
+#include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
 namespace gld {
@@ -126,6 +129,21 @@ TEST(Projection, IsThatOfSampledPoints) {
     EXPECT_NEAR(projected.covariance[2], covariance(1, 1), 1e-9);
     EXPECT_NEAR(projected.determinant, covariance.determinant(), 1e-9);
   }
+}
+
+// 33,000 that each cover all 65,536 tiles.
+TEST(SplatViews, MorePairsThanCanBeNumberedAreRefused) {
+  RandomGaussians wanted;
+  wanted.count = 33'000;
+  wanted.smallest = wanted.largest = 50;
+  GaussianSet set = random_gaussians(wanted);
+  for (float& opacity : set.logit_opacities) opacity = 3;
+  EXPECT_THAT(test::error_of([&] {
+                view_of_splats(set, splat_camera(splat_test_camera(4096, 4096), Eigen::Vector3d::Zero(), {}),
+                               {});
+              }),
+              testing::HasSubstr(
+                  "expected at most 2^31 - 1 pairs of a Gaussian and a tile that it covers, found 2162"));
 }
 
 TEST(Projection, NeedlesKeepTheirDeterminant) {

@@ -5,6 +5,7 @@
 #include "gld/splatting/image_loss.h"
 #include "gld/splatting/splat_adam.h"
 #include "tests/gld/splatting/random_gaussians.h"
+#include "tests/support/worst_of.h"
 
 #include <algorithm>
 #include <cmath>
@@ -296,7 +297,7 @@ double relative_gradient(const FeatureCase& problem, const std::vector<float>& f
       left += of_i * of_i / totals[i];
       whole += right_of_i * right_of_i / totals[i];
     }
-    worst = std::max(worst, std::sqrt(left / whole));
+    worst = test::worst_of(worst, std::sqrt(left / whole));
   }
   return worst;
 }
@@ -356,7 +357,7 @@ TEST(FeatureSolve, FindsTheFeaturesThatMadeThePictures) {
   for (const FeatureView& view : views) {
     const SplatImage again = composite(view.view, features, {}).image;
     for (size_t i = 0; i < again.values.size(); ++i)
-      worst = std::max<double>(worst, std::abs(again.values[i] - view.picture.values[i]));
+      worst = test::worst_of(worst, std::abs(again.values[i] - view.picture.values[i]));
   }
   EXPECT_LT(worst, 1e-4);
 }
@@ -431,7 +432,7 @@ TEST(FeatureSolve, FeaturesThatDependOnTheDirectionNeedTheirDegree) {
                                                           harmonic_coefficients(options.feature_degree)));
     double worst = 0;
     for (const FeatureView& view : views)
-      worst = std::max(worst, problem.error_of(view, solved.features, options.feature_degree));
+      worst = test::worst_of(worst, problem.error_of(view, solved.features, options.feature_degree));
     errors.push_back(worst);
     if (options.feature_degree < 2) continue;
     // Between the views that were fitted as well.

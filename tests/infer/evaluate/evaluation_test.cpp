@@ -380,6 +380,24 @@ TEST_F(EvaluationProtocol, TheFillGoesThroughTheDecoder) {
   EXPECT_EQ(of_one.at("reconstructed_fill_psnr").at("absent"), of_one.at("fill_psnr").at("absent"));
 }
 
+TEST_F(EvaluationProtocol, ScenesOfOneNameAreToldApart) {
+  SyntheticOptions generator;
+  generator.frames = 8;
+  generator.width = generator.height = 56;
+  for (const int64_t number : {0, 1}) {
+    write_scene(make_synthetic_scene(generator, number), "cameras-json",
+                folder_->path() / "twins" / std::to_string(number) / "room");
+  }
+  auto asked = rooms("twins_evaluated");
+  asked.synthetic = 0;
+  asked.scenes = {(folder_->path() / "twins").string()};
+  run(asked);
+  const std::string csv = file(asked, "eval.csv");
+  EXPECT_THAT(csv, HasSubstr("\nroom,"));
+  EXPECT_THAT(csv, HasSubstr("\nroom_2,"));
+  EXPECT_THAT(file(asked, "targets.csv"), HasSubstr("\nroom_2,"));
+}
+
 TEST_F(EvaluationProtocol, EveryNumberOfSourcesIsReported) {
   auto asked = rooms("counts");
   asked.views.views = 5;

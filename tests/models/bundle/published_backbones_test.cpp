@@ -133,6 +133,13 @@ TEST_F(PublishedBackbones, DinoNeedsItsRegisters) {
   options.description = path("dino") / "model.yaml";
   options.out = path("out");
   EXPECT_EQ(convert(options)["parts"]["backbone"]["tensors"], file.size());
+  // What lies there may have been trained on.
+  EXPECT_EQ(
+      error_of([&] { convert(options); }),
+      (path("out") / "backbone.safetensors").string() +
+          ": expected no such part in the bundle yet, found one that is there; choose another --out, or add "
+          "--overwrite to replace it.");
+  options.out = path("other");
   file.erase("register_tokens");
   save_safetensors(path("without.safetensors"), file);
   options.backbones["dinov2"] = path("without.safetensors");
@@ -141,6 +148,22 @@ TEST_F(PublishedBackbones, DinoNeedsItsRegisters) {
                 ": expected DINOv2 with registers, a tensor register_tokens, found none; give a model with "
                 "registers, or say num_register_tokens: 0, antialias: false and interpolate_offset: 0.1 in "
                 "--description.");
+}
+
+// A name of a million letters is no tensor of ours, and no reason to run out of stack.
+TEST_F(PublishedBackbones, ALongNameIsOneThatNobodyKnows) {
+  BundleOptions small;
+  load_yaml(small, test::source_root() / "configs/ablations/latents/vae/model.yaml");
+  write_random_bundle(path("vae"), small, 5);
+  Tensors file = read_all(ModelBundle::open(path("vae")).file(BundlePart::backbone()));
+  file["encoder.down.0." + std::string(1'000'000, 'a')] = torch::zeros({1});
+  save_safetensors(path("long.safetensors"), file);
+  ConversionOptions options;
+  options.backbones["autoencoder_kl"] = path("long.safetensors");
+  options.description = path("vae") / "model.yaml";
+  options.out = path("long");
+  EXPECT_NE(error_of([&] { convert(options); }), "");
+  EXPECT_FALSE(std::filesystem::exists(path("long") / "model.yaml"));
 }
 
 // diffusers' names and the original ones, in which attention is a convolution, give the same.

@@ -77,7 +77,7 @@ TEST_F(DitFieldTest, IntervalEndsAreIncluded) {
         << t;
   }
   EXPECT_EQ(guided.report().unconditional, 3);
-  EXPECT_EQ(guided.report().outside_interval, 3);
+  EXPECT_EQ(guided.report().evaluations - guided.report().unconditional, 3);
 }
 
 TEST_F(DitFieldTest, CascadeUsesItsConditionAgainAtAnEqualTime) {

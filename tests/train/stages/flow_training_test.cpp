@@ -186,6 +186,10 @@ TEST_F(TrainedChain, AModelThatIsShownPhotographsBelongsToTheirGeometryHead) {
   save_safetensors(head, read_all(head), {{"trained", "again"}});
   EXPECT_THAT(test::error_of([&] { mixed_parts(trained, {level}, false); }),
               testing::HasSubstr("expected a part that was trained on the dpt_head beside it"));
+  // What is no text is no hash of anything.
+  note_in_metadata(trained, level, "gld:trained_on", R"({"backbone": 5})");
+  EXPECT_THAT(test::error_of([&] { mixed_parts(trained, {level}, false); }),
+              testing::HasSubstr("expected a part that was trained on the backbone beside it"));
 }
 
 // Another set of levels than the published one, with special tokens: statistics, a level and a cascade.
