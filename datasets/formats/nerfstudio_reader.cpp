@@ -170,8 +170,8 @@ Eigen::Isometry3d pose_of_matrix(const json& rows, const AppliedTransform& appli
   return opencv_from_opengl_pose(checked_pose(applied.world_from_listed * listed, where));
 }
 
-// Depth is in the unit that poses have without applied_scale: nerfstudio multiplies both by it. unit: what the file says
-// that a step is; without a word a .npy is in that unit, and a PNG in thousandths of it.
+// Depth is in the unit that poses have without applied_scale: nerfstudio multiplies both by it. unit: what the file
+// says that a step is; without a word a .npy is in that unit, and a PNG in thousandths of it.
 std::function<DepthMap()> depth_loader(const std::filesystem::path& file, std::optional<double> unit) {
   return [file, unit] {
     if (file.extension() != ".npy") return read_depth_png(file, unit.value_or(1e-3));

@@ -25,8 +25,8 @@ struct PlacedDepth {
 PointCloud point_cloud_of(const PlacedDepth& depth, const std::vector<Camera>& given,
                           const std::vector<Image>& images, const PointCloudOptions& options);
 
-// Returns whether that cloud lies in the world of the given cameras, by their unit or by how the model's own cameras fit
-// them, and not in a frame of the model's own.
+// Returns whether that cloud lies in the world of the given cameras, by their unit or by how the model's own cameras
+// fit them, and not in a frame of the model's own.
 bool cloud_is_in_world(const PlacedDepth& depth, const PointCloudOptions& options);
 
 // Returns the depth as a file and a cloud take it.
