@@ -52,6 +52,8 @@ if [ "$action" = keep ]; then
     echo "train_tiny: expected a stage in $runs, found none; train first." >&2
     exit 1
   fi
+  # The records name the runs where others will have them.
+  { grep -rlI -- "$runs/" "$so_far.partial" || true; } | xargs -r sed -i "s#$runs/#runs/tiny/#g"
   rm -rf "$so_far"
   mv "$so_far.partial" "$so_far"
   echo "train_tiny: kept in $so_far: $(du -sm "$so_far" | cut -f1) MB"
@@ -81,7 +83,7 @@ trap 'stop 143' TERM
 run() {
   "$gld" "$@" &
   running=$!
-  wait "$running"
+  wait -f "$running"  # not only until somebody pauses it, which under set -m ends a plain wait
   running=
 }
 
