@@ -315,5 +315,22 @@ TEST(GeometryPlacement, AGuessedUnitIsAsSureAsItsError) {
   EXPECT_NEAR(std::log(placement.scale->scale / placement.scale->low), 0.4, 0.02);
 }
 
+TEST(PlacedCloud, LiesInTheWorldWhereItsUnitOrItsCamerasAreKnown) {
+  const GeometryOutput geometry;
+  GeometryPlacement placement;
+  PointCloudOptions by_cameras, by_rays;
+  by_cameras.lifting = PointLifting::kCameras;
+  by_rays.lifting = PointLifting::kRays;
+  EXPECT_FALSE(cloud_is_in_world({geometry, placement}, by_cameras));
+  // Photographs tell depth in the unit of the given cameras, which lift it; rays are in a frame of their own.
+  EXPECT_TRUE(cloud_is_in_world({geometry, placement, {PlanarDepth()}}, by_cameras));
+  EXPECT_FALSE(cloud_is_in_world({geometry, placement, {PlanarDepth()}}, by_rays));
+  placement.scale = DepthScale();
+  EXPECT_TRUE(cloud_is_in_world({geometry, placement}, by_cameras));
+  EXPECT_FALSE(cloud_is_in_world({geometry, placement}, by_rays));
+  placement.alignment = PoseAlignment();
+  EXPECT_TRUE(cloud_is_in_world({geometry, placement}, by_rays));
+}
+
 }  // namespace
 }  // namespace gld
