@@ -56,8 +56,8 @@ class BranchedField {
 // What a solve cost by branch.
 struct GuidanceReport {
   int64_t evaluations = 0;  // of the guided field
-  int64_t unconditional =
-      0;  // of them with the unconditional branch, which the interval or a scale of 1 leaves out
+  // Of them with the unconditional branch, which the interval or a scale of 1 leaves out.
+  int64_t unconditional = 0;
 };
 
 class GuidedField : public VelocityField {

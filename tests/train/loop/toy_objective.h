@@ -2,6 +2,7 @@
 
 #include "gld/base/atomic_file.h"
 #include "train/data/batch_prefetcher.h"
+#include "train/loop/checkpoint.h"
 #include "train/loop/objective.h"
 #include "train/loop/training_loop.h"
 
@@ -9,12 +10,15 @@
 #include <cmath>
 #include <filesystem>
 #include <limits>
+#include <map>
 #include <memory>
 #include <string>
 #include <thread>
 #include <vector>
 
 #include <torch/autograd.h>
+
+#include <gtest/gtest.h>
 
 namespace gld::test {
 
@@ -100,6 +104,37 @@ inline TrainingRun toy_run(const std::filesystem::path& folder, ToyObjective& ob
   run.data = std::make_shared<ToySource>();
   run.validation_scenes = ToySource().batch(1000).scenes;
   return run;
+}
+
+// A run of the toy of 24 steps, with checkpoints every five and validations every eight.
+inline TrainingLoopOptions short_run() {
+  TrainingLoopOptions options;
+  options.steps = 24;
+  options.micro_batches = 2;
+  options.seed = 5;
+  options.log_every = 4;
+  options.checkpoint_every = 5;
+  options.validate_every = 8;
+  options.stop_after_non_finite = 3;
+  options.learning_rate.schedule = LearningRateSchedule::kCosine;
+  options.learning_rate.peak = 0.05;
+  options.learning_rate.warmup_steps = 3;
+  options.optimiser.ema_decay = 0.8;
+  return options;
+}
+
+inline std::map<std::string, torch::Tensor> tensors_of_newest(const std::filesystem::path& folder) {
+  auto found = CheckpointFolder(folder / "checkpoints", {}).newest();
+  return found->checkpoint.tensors;
+}
+
+inline void expect_same_bytes(const std::map<std::string, torch::Tensor>& a,
+                              const std::map<std::string, torch::Tensor>& b) {
+  ASSERT_EQ(a.size(), b.size());
+  for (const auto& [name, tensor] : a) {
+    ASSERT_EQ(b.count(name), 1U) << name;
+    EXPECT_TRUE(torch::equal(tensor, b.at(name))) << name;
+  }
 }
 
 }  // namespace gld::test
