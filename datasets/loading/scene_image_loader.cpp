@@ -68,6 +68,8 @@ SceneImageBatch SceneImageLoader::load(uint64_t number) const {
   for (int64_t slot = 0; slot < options_.batch_size; ++slot) {
     batch.scenes.push_back(load_scene(number, slot, batch.size));
   }
+  const std::lock_guard<std::mutex> lock(mutex_);
+  ++report_.batches;
   return batch;
 }
 

@@ -43,6 +43,7 @@ struct SceneImageBatch {
 
 // What loading has met so far.
 struct LoadingReport {
+  int64_t batches = 0;         // loaded
   int64_t broken_samples = 0;  // scenes or frames that could not be read; others were taken in their place
   int64_t pose_outliers = 0;   // samples refused for max_translation_norm
   int64_t short_scenes = 0;    // scenes with fewer frames than views

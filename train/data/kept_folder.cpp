@@ -4,7 +4,6 @@
 #include "gld/base/sha256.h"
 #include "gld/tensors/weight_tensors.h"
 
-#include <atomic>
 #include <cstdint>
 #include <exception>
 #include <iostream>
@@ -63,9 +62,8 @@ std::optional<KeptThing> KeptFolder::find(const std::string& key) const {
   }
 }
 
-void KeptFolder::keep(const std::string& key, const KeptThing& thing) const {
-  static std::atomic<bool> failed{false};
-  if (failed) return;
+bool KeptFolder::keep(const std::string& key, const KeptThing& thing) const {
+  if (failed_) return false;
   try {
     if (std::filesystem::space(folder_).available < kSpaceForOthers)
       fail({folder_.string(), "4 GiB of free space", "less", "make room, or train without --kept-scenes"});
@@ -74,9 +72,11 @@ void KeptFolder::keep(const std::string& key, const KeptThing& thing) const {
     const auto file = file_of(key);
     std::filesystem::create_directories(file.parent_path());
     save_safetensors(file, tensors, thing.text);
+    return true;
   } catch (const std::exception& error) {
-    if (failed.exchange(true)) return;
+    if (failed_.exchange(true)) return false;
     std::cerr << fmt::format("warning: nothing more is kept in {}: {}\n", folder_.string(), error.what());
+    return false;
   }
 }
 

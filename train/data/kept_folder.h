@@ -2,6 +2,7 @@
 
 #include "gld/files/weight_file.h"
 
+#include <atomic>
 #include <filesystem>
 #include <map>
 #include <memory>
@@ -37,15 +38,16 @@ class KeptFolder {
   // Returns what is kept under that key: tensors on the CPU that share the file's memory. Nothing where there is none,
   // or a file that is not whole.
   std::optional<KeptThing> find(const std::string& key) const;
-  // Writes it. Where that fails, or less than 4 GiB of the disk are free, it says so once and keeps no more: a full
-  // disk ends no training.
-  void keep(const std::string& key, const KeptThing& thing) const;
+  // Writes it, and returns whether it did. Where that fails, or less than 4 GiB of the disk are free, it says so once
+  // and keeps no more: a full disk ends no training.
+  bool keep(const std::string& key, const KeptThing& thing) const;
 
  private:
   std::filesystem::path file_of(const std::string& key) const;
 
   std::filesystem::path folder_;
   std::string made_of_;
+  mutable std::atomic<bool> failed_{false};  // a write has
 };
 
 }  // namespace gld

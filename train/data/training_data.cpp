@@ -61,6 +61,13 @@ TrainingScene to_training_scene(const SceneImages& loaded) {
   return scene;
 }
 
+TrainingBatch to_training_batch(const SceneImageBatch& loaded, int64_t index) {
+  TrainingBatch batch;
+  batch.index = index;
+  for (const SceneImages& scene : loaded.scenes) batch.scenes.push_back(to_training_scene(scene));
+  return batch;
+}
+
 }  // namespace
 
 TrainingDataOptions::TrainingDataOptions() {
@@ -127,42 +134,28 @@ void DatasetBatches::keep_in(const std::filesystem::path& folder) {
     folder_ = std::make_unique<const KeptFolder>(folder, "drawn rooms\n" + drawn_from_);
 }
 
-std::shared_ptr<const SceneImageBatch> DatasetBatches::load(int64_t number) const {
-  if (distinct_ == 0 || folder_)
-    return std::make_shared<SceneImageBatch>(loader_.load(static_cast<uint64_t>(number)));
-  number %= distinct_;
-  {
-    const std::lock_guard<std::mutex> lock(mutex_);
-    const auto found = kept_.find(number);
-    if (found != kept_.end()) return found->second;
-  }
-  auto made = std::make_shared<const SceneImageBatch>(loader_.load(static_cast<uint64_t>(number)));
+std::shared_ptr<const SceneImageBatch> DatasetBatches::in_memory(int64_t number) const {
   const std::lock_guard<std::mutex> lock(mutex_);
-  kept_[number] = made;
-  return made;
+  const auto found = kept_.find(number);
+  return found == kept_.end() ? nullptr : found->second;
 }
 
 TrainingBatch DatasetBatches::batch(int64_t index) const {
-  if (!folder_) return loaded(index);
+  if (distinct_ == 0) return to_training_batch(loader_.load(static_cast<uint64_t>(index)), index);
   const int64_t number = index % distinct_;
+  if (const auto kept = in_memory(number)) return to_training_batch(*kept, index);
   const std::string key = std::to_string(number);
-  if (const auto kept = folder_->find(key)) {
-    if (auto batch = batch_of(*kept, index)) return std::move(*batch);
+  if (folder_) {
+    if (const auto kept = folder_->find(key)) {
+      if (auto batch = batch_of(*kept, index)) return std::move(*batch);
+    }
   }
-  TrainingBatch made = loaded(number);
-  folder_->keep(key, kept_batch(made));
-  made.index = index;
+  auto loaded = std::make_shared<const SceneImageBatch>(loader_.load(static_cast<uint64_t>(number)));
+  TrainingBatch made = to_training_batch(*loaded, index);
+  if (folder_ && folder_->keep(key, kept_batch(made))) return made;
+  const std::lock_guard<std::mutex> lock(mutex_);
+  kept_[number] = std::move(loaded);
   return made;
-}
-
-TrainingBatch DatasetBatches::loaded(int64_t index) const {
-  TrainingBatch batch;
-  batch.index = index;
-  const auto loaded = load(index);
-  for (const SceneImages& scene : loaded->scenes) {
-    batch.scenes.push_back(to_training_scene(scene));
-  }
-  return batch;
 }
 
 TrainingScene training_scene(const Scene& scene, const SampledViews& views, const ImageSize& size,

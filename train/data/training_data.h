@@ -39,15 +39,14 @@ struct TrainingDataOptions : OptionsGroup {
 class DatasetBatches : public TrainingBatchSource {
  public:
   DatasetBatches(const TrainingDataOptions& options, const std::vector<ImageSize>& sizes, FrameParts parts);
-  // Takes drawn rooms that come again (distinct_batches) from that folder where it has them, and keeps them there and
-  // no more in memory. Scenes of files stay as they are: they may change.
+  // Takes drawn rooms that come again (distinct_batches) from that folder where it has them, and keeps them there, in
+  // memory only what it does not take (a full disk). Scenes of files stay as they are: they may change.
   void keep_in(const std::filesystem::path& folder);
   TrainingBatch batch(int64_t index) const override;
   LoadingReport report() const { return loader_.report(); }
 
  private:
-  std::shared_ptr<const SceneImageBatch> load(int64_t number) const;
-  TrainingBatch loaded(int64_t index) const;
+  std::shared_ptr<const SceneImageBatch> in_memory(int64_t number) const;  // null where it is not
 
   SceneImageLoader loader_;
   int64_t distinct_ = 0;

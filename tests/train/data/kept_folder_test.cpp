@@ -11,6 +11,7 @@
 #include <string>
 #include <vector>
 
+#include <fmt/format.h>
 #include <gtest/gtest.h>
 
 namespace gld {
@@ -128,6 +129,24 @@ TEST(KeptBatches, AreTakenFromTheFolder) {
   ASSERT_EQ(files.size(), 1U);
   fs::copy_file(files_in(of_others.path()).front(), files.front(), fs::copy_options::overwrite_existing);
   expect_same(batch_kept_in(folder.path(), 0), batch_kept_in({}, 0, others));
+}
+
+// A folder's things lie in folders of two hexadecimal digits: files of those names are a disk that takes nothing.
+TEST(KeptBatches, StayInMemoryWhereTheFolderTakesNothing) {
+  const TemporaryFolder folder;
+  for (int i = 0; i < 256; ++i) std::ofstream(folder.path() / fmt::format("{:02x}", i)) << "taken";
+  DatasetBatches batches(two_batches(), {{56, 56}}, FrameParts::kImageAndDepth);
+  batches.keep_in(folder.path());
+  for (int64_t index = 0; index < 6; ++index) expect_same(batches.batch(index), batch_kept_in({}, index));
+  EXPECT_EQ(batches.report().batches, 2);
+}
+
+TEST(KeptBatches, ComeFromTheFolderAndAreDrawnOnce) {
+  const TemporaryFolder folder;
+  DatasetBatches batches(two_batches(), {{56, 56}}, FrameParts::kImageAndDepth);
+  batches.keep_in(folder.path());
+  for (int64_t index = 0; index < 6; ++index) batches.batch(index);
+  EXPECT_EQ(batches.report().batches, 2);
 }
 
 TEST(KeptBatches, OtherOptionsAreOtherBatches) {
