@@ -49,6 +49,32 @@ struct WeightedDepth {
   float log_depth = 0, weight = 0;
 };
 
+// The samples of a window on one side of a pixel's own depth.
+struct Side {
+  std::array<WeightedDepth, kWindowSide * kWindowSide> samples;
+  size_t count = 0;
+  double weight = 0;
+
+  void add(const WeightedDepth& sample) {
+    samples[count++] = sample;
+    weight += sample.weight;
+  }
+
+  // Returns the first depth, from the least on, up to which half of all the weight lies, before_it of which is below
+  // this side.
+  float reaching_half(double before_it, double all) {
+    const auto end = samples.begin() + static_cast<std::ptrdiff_t>(count);
+    std::sort(samples.begin(), end,
+              [](const WeightedDepth& a, const WeightedDepth& b) { return a.log_depth < b.log_depth; });
+    double reached = before_it;
+    const auto found = std::find_if(samples.begin(), end - 1, [&](const WeightedDepth& each) {
+      reached += each.weight;
+      return 2 * reached >= all;
+    });
+    return found->log_depth;
+  }
+};
+
 class EdgeFollowing {
  public:
   EdgeFollowing(const PlanarDepth& depth, const PicturedView& picture)
@@ -62,43 +88,57 @@ class EdgeFollowing {
     }
   }
 
-  // Returns the median of the logarithms of depth around that pixel, whose own is known; NaN is not known.
+  // Returns the median of the logarithms of depth around that pixel, whose own is known (NaN is not known), or its own
+  // where the median is no farther than kSlope from it: then nothing need be sorted.
   float median(const std::vector<float>& logs, int64_t x, int64_t y) const {
     const float own = logs[static_cast<size_t>(y * width_ + x)];
-    std::array<WeightedDepth, kWindowSide * kWindowSide> around;
-    size_t count = 0;
-    float least = own, most = own;
+    if (flat_around(logs, x, y, own)) return own;
+    Side nearer, farther;
+    double beside = 0;
+    for_each_around(logs, x, y, [&](float value, size_t place, int64_t pixel) {
+      const WeightedDepth found{value, nearness_[place] * likeness(y * width_ + x, pixel)};
+      if (std::abs(value - own) <= kSlope) {
+        beside += found.weight;
+      } else {
+        (value < own ? nearer : farther).add(found);
+      }
+    });
+    const double all = nearer.weight + beside + farther.weight;
+    if (nearer.count > 0 && 2 * nearer.weight >= all) return nearer.reaching_half(0, all);
+    if (farther.count > 0 && 2 * (nearer.weight + beside) < all)
+      return farther.reaching_half(nearer.weight + beside, all);
+    return own;
+  }
+
+ private:
+  // Calls each(logarithm, number of the window's sample, pixel) for those around whose depth is known.
+  template <class Each>
+  void for_each_around(const std::vector<float>& logs, int64_t x, int64_t y, const Each& each) const {
     for (int row = -kSamplesAside; row <= kSamplesAside; ++row) {
       const int64_t from_y = y + row * apart_;
       if (from_y < 0 || from_y >= height_) continue;
       for (int column = -kSamplesAside; column <= kSamplesAside; ++column) {
         const int64_t from_x = x + column * apart_;
         if (from_x < 0 || from_x >= width_) continue;
-        const float value = logs[static_cast<size_t>(from_y * width_ + from_x)];
-        if (std::isnan(value)) continue;
-        around[count++] = {value, nearness_[sample(row, column)] * likeness(x, y, from_x, from_y)};
-        least = std::min(least, value);
-        most = std::max(most, value);
+        const int64_t pixel = from_y * width_ + from_x;
+        const float value = logs[static_cast<size_t>(pixel)];
+        if (!std::isnan(value)) each(value, sample(row, column), pixel);
       }
     }
-    if (most - least < kFlat) return own;
-    const auto end = around.begin() + static_cast<std::ptrdiff_t>(count);
-    std::sort(around.begin(), end,
-              [](const WeightedDepth& a, const WeightedDepth& b) { return a.log_depth < b.log_depth; });
-    float sum = 0;
-    for (size_t i = 0; i < count; ++i) sum += around[i].weight;
-    float below = 0;
-    for (size_t i = 0; i < count; ++i) {
-      below += around[i].weight;
-      if (2 * below >= sum) return around[i].log_depth;
-    }
-    return own;
   }
 
- private:
-  float likeness(int64_t x, int64_t y, int64_t other_x, int64_t other_y) const {
-    const float* a = &colours_[static_cast<size_t>(3 * (y * width_ + x))];
-    const float* b = &colours_[static_cast<size_t>(3 * (other_y * width_ + other_x))];
+  bool flat_around(const std::vector<float>& logs, int64_t x, int64_t y, float own) const {
+    float least = own, most = own;
+    for_each_around(logs, x, y, [&](float value, size_t, int64_t) {
+      least = std::min(least, value);
+      most = std::max(most, value);
+    });
+    return most - least < kFlat;
+  }
+
+  float likeness(int64_t pixel, int64_t other) const {
+    const float* a = &colours_[static_cast<size_t>(3 * pixel)];
+    const float* b = &colours_[static_cast<size_t>(3 * other)];
     float squares = 0;
     for (int channel = 0; channel < 3; ++channel)
       squares += (a[channel] - b[channel]) * (a[channel] - b[channel]);
@@ -127,8 +167,7 @@ PlanarDepth edge_following_depth(const PlanarDepth& depth, const PicturedView& p
         const auto pixel = static_cast<size_t>(y * depth.width + x);
         const float open = confirmed.empty() ? 1 : 1 - std::clamp(2 * confirmed.values[pixel], 0.0F, 1.0F);
         if (std::isnan(logs[pixel]) || open <= 0) continue;
-        const float moved = edges.median(logs, x, y) - logs[pixel];
-        if (std::abs(moved) > kSlope) next[pixel] += open * moved;
+        next[pixel] += open * (edges.median(logs, x, y) - logs[pixel]);
       }
     }
     logs = std::move(next);
