@@ -1,6 +1,8 @@
 #include "models/bundle/part_lineage.h"
 
+#include "gld/base/configuration.h"
 #include "gld/base/error.h"
+#include "gld/base/option_differences.h"
 #include "gld/base/sha256.h"
 #include "gld/files/weight_file.h"
 #include "gld/tensors/weight_tensors.h"
@@ -15,6 +17,7 @@ namespace gld {
 namespace {
 
 constexpr const char* kTrainedOn = "gld:trained_on";
+constexpr const char* kTrainedAs = "gld:trained_as";
 
 // Hashes each file once, however many parts were trained on it.
 class PartHashes {
@@ -31,6 +34,16 @@ class PartHashes {
   const ModelBundle& bundle_;
   std::map<std::string, std::string> hashes_;
 };
+
+// Returns what a flow model's file says otherwise about it than model.yaml, and how: nothing where they agree or the
+// file says nothing, as one of an earlier program, or a published one.
+std::vector<OptionDifference> differences_from_training(const ModelBundle& bundle, const BundlePart& part,
+                                                        const std::map<std::string, std::string>& metadata) {
+  const auto noted = metadata.find(kTrainedAs);
+  if (part.kind != BundlePart::Kind::kGenerator || noted == metadata.end()) return {};
+  return differences_from(noted->second, bundle.file(part).string() + " (" + kTrainedAs + ")",
+                          bundle.options().generator(part.generator).dit);
+}
 
 }  // namespace
 
@@ -80,6 +93,8 @@ void note_trained_on(const ModelBundle& bundle, const BundlePart& part) {
     if (bundle.has(other)) made_of[bundle_part_name(other)] = hashes.of(other);
   }
   note_in_metadata(bundle, part, kTrainedOn, made_of.dump());
+  if (part.kind == BundlePart::Kind::kGenerator)
+    note_in_metadata(bundle, part, kTrainedAs, to_yaml(bundle.options().generator(part.generator).dit));
 }
 
 std::vector<std::string> mixed_parts(const ModelBundle& bundle, const std::vector<BundlePart>& parts,
@@ -91,6 +106,17 @@ std::vector<std::string> mixed_parts(const ModelBundle& bundle, const std::vecto
     if (trained_on(part, bundle.options()).empty()) continue;
     const auto metadata = WeightFile::open(bundle.file(part))->metadata();
     const std::string name = bundle_part_name(part);
+    for (const auto& difference : differences_from_training(bundle, part, metadata)) {
+      std::string trained_as = name;
+      trained_as += '.';
+      trained_as += difference_text(difference);
+      if (!allow_mixed) {
+        fail({bundle.file(part).string(), "a part that was trained as model.yaml says", trained_as,
+              "put into model.yaml what it was, train " + name +
+                  " again, or take it as it is with --allow-mixed"});
+      }
+      warnings.push_back(name + " was trained otherwise than model.yaml says: " + trained_as + ".");
+    }
     const auto noted = metadata.find(kTrainedOn);
     if (noted == metadata.end()) {
       silent += (silent.empty() ? "" : ", ") + name;

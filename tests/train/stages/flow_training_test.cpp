@@ -192,6 +192,27 @@ TEST_F(TrainedChain, AModelThatIsShownPhotographsBelongsToTheirGeometryHead) {
               testing::HasSubstr("expected a part that was trained on the backbone beside it"));
 }
 
+// No tensor's shape tells what a flow model predicts.
+TEST_F(TrainedChain, AFlowModelThatWasTrainedAsSomethingElseIsRefused) {
+  std::filesystem::copy(path("level/model"), path("otherwise"));
+  const BundlePart level = BundlePart::of(level_model(1));
+  EXPECT_EQ(mixed_parts(ModelBundle::open(path("otherwise")), {level}, false), std::vector<std::string>());
+  BundleOptions model = ModelBundle::open(path("otherwise")).options();
+  model.generator(level_model(1)).dit.prediction = FlowPrediction::kData;
+  std::filesystem::remove(path("otherwise") / "model.yaml");
+  save_bundle_options(path("otherwise"), model);
+  const auto otherwise = ModelBundle::open(path("otherwise"));
+  EXPECT_EQ(test::error_of([&] { mixed_parts(otherwise, {level}, false); }),
+            (path("otherwise") / "level1.safetensors").string() +
+                ": expected a part that was trained as model.yaml says, found level1.prediction data (it was "
+                "velocity); put into model.yaml what it was, train level1 again, or take it as it is with "
+                "--allow-mixed.");
+  EXPECT_EQ(
+      mixed_parts(otherwise, {level}, true),
+      std::vector<std::string>({"level1 was trained otherwise than model.yaml says: level1.prediction data "
+                                "(it was velocity)."}));
+}
+
 // Another set of levels than the published one, with special tokens: statistics, a level and a cascade.
 TEST_F(TrainedChain, OtherSetsOfLevelsTrain) {
   BundleOptions model = test::small_model();
