@@ -27,6 +27,8 @@ stages=(backbone decoder head depth blending stats level cascade)
 if [ "$action" = keep ]; then
   rm -rf "$so_far.partial"
   latest=
+  mkdir -p "$so_far.partial"
+  if [ -f "$runs/nothing/model.yaml" ]; then cp "$runs/nothing/model.yaml" "$so_far.partial/"; fi
   for stage in "${stages[@]}"; do
     [ -d "$runs/$stage" ] || break
     mkdir -p "$so_far.partial/$stage"
@@ -48,7 +50,8 @@ if [ "$action" = keep ]; then
         xargs -r cp -t "$so_far.partial/$stage/checkpoints"
     fi
   done
-  if [ ! -d "$so_far.partial" ]; then
+  if [ ! -d "$so_far.partial/backbone" ]; then
+    rm -rf "$so_far.partial"
     echo "train_tiny: expected a stage in $runs, found none; train first." >&2
     exit 1
   fi
@@ -99,9 +102,17 @@ stage() {
     --kept-scenes "$runs/kept_scenes" "$how"
 }
 
-# The recipe begins without weights, though shipped ones may lie beside it.
+# The recipe begins without weights, though shipped ones may lie beside it. Each stage's model is that of the stage before with
+# one part more, so that a model.yaml which is changed on the way would change nothing that is trained.
 mkdir -p "$runs/nothing"
-cp "$recipe/model.yaml" "$runs/nothing/"
+began=$runs/nothing/model.yaml
+if [ ! -f "$began" ] && [ -f "$so_far/model.yaml" ]; then cp "$so_far/model.yaml" "$began"; fi
+if [ ! -f "$began" ]; then cp "$recipe/model.yaml" "$began"; fi
+if ! cmp -s "$recipe/model.yaml" "$began"; then
+  echo "train_tiny: expected the model.yaml that $runs began with, found another in $recipe; put it back as $began is, or" \
+    "train from nothing in another folder." >&2
+  exit 1
+fi
 stage backbone backbone "$runs/nothing" "$device"
 stage decoder decoder "$runs/backbone/model" "$device"
 stage head backbone "$runs/decoder/model" "$device"
@@ -113,6 +124,7 @@ fi
 stage level level "$runs/stats/model" cpu
 stage cascade cascade "$runs/level/model" cpu
 if [ ! -f "$runs/eval/report.json" ]; then
-  run eval --model "$runs/cascade/model" --synthetic 64 --samples 4 --out "$runs/eval" --overwrite --device "$device"
+  run eval --model "$runs/cascade/model" --synthetic 64 --synthetic-seed 20261205 --samples 4 \
+    --out "$runs/eval" --overwrite --device "$device"
 fi
 echo "train_tiny: the model is in $runs/cascade/model; scripts/ship_tiny.sh $runs puts it into configs/tiny."
