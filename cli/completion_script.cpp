@@ -45,7 +45,7 @@ std::vector<Level> levels_of(const std::vector<Command>& commands, const Outermo
   for (const Command* command : all_levels(commands)) {
     Level level{"gld " + command->name,
                 pointers(command->subcommands),
-                list_flags(*command, outermost),
+                offered_flags(*command, outermost),
                 command->options != nullptr,
                 false,
                 words_of_usage(command->arguments.usage)};

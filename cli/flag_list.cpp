@@ -1,5 +1,6 @@
 #include "cli/flag_list.h"
 
+#include "cli/option_uses.h"
 #include "gld/base/configuration.h"
 #include "gld/base/dashed_name.h"
 
@@ -104,13 +105,24 @@ std::vector<Flag> list_flags(const Command& command, const OutermostTypes& outer
   return flags;
 }
 
+std::vector<Flag> offered_flags(const Command& command, const OutermostTypes& outermost) {
+  std::vector<Flag> flags = list_flags(command, outermost);
+  const auto is_of_no_use = [&](const Flag& flag) {
+    return std::any_of(option_uses().begin(), option_uses().end(), [&](const OptionUse& use) {
+      return use.needs.empty() && applies_to(use, command, flag.key);
+    });
+  };
+  flags.erase(std::remove_if(flags.begin(), flags.end(), is_of_no_use), flags.end());
+  return flags;
+}
+
 std::vector<FlagGroup> group_flags(const Command& command, const OutermostTypes& outermost) {
   std::vector<FlagGroup> groups;
   if (!command.options) return groups;
   GroupHelp said;
   command.options->visit(said);
   groups.push_back({"", "", {}});
-  for (const Flag& flag : list_flags(command, outermost)) {
+  for (const Flag& flag : offered_flags(command, outermost)) {
     const std::string key = group_key(flag.key);
     auto group = std::find_if(groups.begin(), groups.end(),
                               [&](const FlagGroup& candidate) { return candidate.key == key; });

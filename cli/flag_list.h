@@ -39,6 +39,9 @@ OutermostTypes outermost_types(const std::vector<Command>& commands);
 // Returns those of the command's options; there are none without any. --help, --help-all, --config, --set and --quiet
 // are not among them.
 std::vector<Flag> list_flags(const Command& command, const OutermostTypes& outermost);
+// Returns those that help, completion and the manual offer: all but what nothing ever looks at (option_uses.h). It is
+// taken, as a key of a file that another command wrote, and refused where a command line names it.
+std::vector<Flag> offered_flags(const Command& command, const OutermostTypes& outermost);
 // Returns the same by group, those outside groups first.
 std::vector<FlagGroup> group_flags(const Command& command, const OutermostTypes& outermost);
 

@@ -172,7 +172,7 @@ std::string first_clause(const std::string& help, size_t most) {
 std::string short_help(const Command& command, const OutermostTypes& outermost) {
   std::string text = command.summary + "\n" + example_line(command) + "Usage: " + usage_line(command) + "\n";
   if (!command.options) return text + (command.description.empty() ? "" : command.description + "\n");
-  const auto flags = list_flags(command, outermost);
+  const auto flags = offered_flags(command, outermost);
   const auto groups = shown_groups(command, flags);
   size_t column = 0, shown = 0;
   for (const auto& group : groups) {

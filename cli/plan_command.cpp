@@ -1,16 +1,14 @@
 #include "cli/plan_command.h"
 
 #include "cli/sample_command.h"
-#include "gld/base/error.h"
 #include "gld/report/report_text.h"
 #include "infer/sample/sampling.h"
-
-#include <algorithm>
 
 namespace gld {
 namespace {
 
-// The options of gld sample; nothing is written, so no folder is asked for.
+// The options of gld sample; nothing is written, so no folder is asked for. A configuration of gld sample may name one, a
+// command line may not (option_uses.h).
 struct PlanOptions : SampleOptions {
   bool measure = false;
 
@@ -20,12 +18,6 @@ struct PlanOptions : SampleOptions {
                     measure);
   }
   void check() const override {
-    // A configuration of gld sample may name a folder; asked for on the command line, it would be waited for in vain.
-    for (const char* key : {"out", "overwrite", "resume"}) {
-      if (std::find(named.begin(), named.end(), key) == named.end()) continue;
-      fail({std::string("--") + key, "no folder: gld plan writes nothing", "one",
-            "leave it out, or run gld sample"});
-    }
     SampleOptions with_folder = *this;
     with_folder.out = "unused";
     with_folder.overwrite = with_folder.resume = false;

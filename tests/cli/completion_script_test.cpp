@@ -90,7 +90,7 @@ TEST_F(Completion, OfFlags) {
     for (std::string word; name >> word;) words.push_back(word);
     words.emplace_back("--");
     const auto names = offered(words);
-    const auto flags = list_flags(*command, outermost_);
+    const auto flags = offered_flags(*command, outermost_);
     EXPECT_EQ(names.size(), flags.size() + common_flags().size() + 2) << command->name;
     for (const Flag& flag : flags) {
       const bool on = flag.is_switch() && flag.default_value == "true";
@@ -130,7 +130,7 @@ TEST_F(Completion, OfOtherShellsIsReadByThem) {
                       "exact fast' -d "));
   for (const Command* command : all_levels(commands_)) {
     EXPECT_THAT(zsh, HasSubstr("    'gld " + command->name + "')\n"));
-    for (const Flag& flag : list_flags(*command, outermost_)) {
+    for (const Flag& flag : offered_flags(*command, outermost_)) {
       const bool on = flag.is_switch() && flag.default_value == "true";
       const std::string name = on ? "--no-" + flag.shown.substr(2) : flag.shown;
       EXPECT_THAT(zsh, HasSubstr(" '" + name + ":"));

@@ -37,7 +37,7 @@ TEST(ManualPage, HasEveryCommandAndOption) {
     ASSERT_NE(at, std::string::npos) << levels[i]->name;
     const size_t end = i + 1 < levels.size() ? page.find(heading(*levels[i + 1]), at + 1) : page.size();
     const auto section = page.substr(at, end - at);
-    for (const Flag& flag : list_flags(*levels[i], outermost)) {
+    for (const Flag& flag : offered_flags(*levels[i], outermost)) {
       EXPECT_THAT(section, HasSubstr(".TP\n\\fB" + troff_text(shown_name(flag)) + "\\fR")) << levels[i]->name;
     }
   }
