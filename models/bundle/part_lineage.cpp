@@ -11,6 +11,7 @@
 #include <map>
 #include <utility>
 
+#include <fmt/format.h>
 #include <nlohmann/json.hpp>
 
 namespace gld {
@@ -107,15 +108,13 @@ std::vector<std::string> mixed_parts(const ModelBundle& bundle, const std::vecto
     const auto metadata = WeightFile::open(bundle.file(part))->metadata();
     const std::string name = bundle_part_name(part);
     for (const auto& difference : differences_from_training(bundle, part, metadata)) {
-      std::string trained_as = name;
-      trained_as += '.';
-      trained_as += difference_text(difference);
+      const std::string trained_as = fmt::format("{}.{}", name, difference_text(difference));
       if (!allow_mixed) {
         fail({bundle.file(part).string(), "a part that was trained as model.yaml says", trained_as,
               "put into model.yaml what it was, train " + name +
                   " again, or take it as it is with --allow-mixed"});
       }
-      warnings.push_back(name + " was trained otherwise than model.yaml says: " + trained_as + ".");
+      warnings.push_back(fmt::format("{} was trained otherwise than model.yaml says: {}.", name, trained_as));
     }
     const auto noted = metadata.find(kTrainedOn);
     if (noted == metadata.end()) {
