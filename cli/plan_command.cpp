@@ -7,8 +7,8 @@
 namespace gld {
 namespace {
 
-// The options of gld sample; nothing is written, so no folder is asked for. A configuration of gld sample may name one, a
-// command line may not (option_uses.h).
+// The options of gld sample; nothing is written, so no folder is asked for. A configuration of gld sample may name one,
+// a command line may not (option_uses.h).
 struct PlanOptions : SampleOptions {
   bool measure = false;
 
