@@ -77,11 +77,11 @@ std::vector<BundlePart> trained_on(const BundlePart& part, const BundleOptions& 
   return parts;
 }
 
-void note_in_metadata(const ModelBundle& bundle, const BundlePart& part, const std::string& key,
-                      const std::string& value) {
+void note_in_metadata(const ModelBundle& bundle, const BundlePart& part,
+                      const std::map<std::string, std::string>& notes) {
   const auto file = WeightFile::open(bundle.file(part));
   auto metadata = file->metadata();
-  metadata[key] = value;
+  for (const auto& [key, value] : notes) metadata[key] = value;
   save_safetensors(
       bundle.file(part), file->entries(),
       [&](const TensorEntry& entry) { return read_tensor(*file, entry.name); }, metadata);
@@ -93,9 +93,10 @@ void note_trained_on(const ModelBundle& bundle, const BundlePart& part) {
   for (const auto& other : trained_on(part, bundle.options())) {
     if (bundle.has(other)) made_of[bundle_part_name(other)] = hashes.of(other);
   }
-  note_in_metadata(bundle, part, kTrainedOn, made_of.dump());
+  std::map<std::string, std::string> notes{{kTrainedOn, made_of.dump()}};
   if (part.kind == BundlePart::Kind::kGenerator)
-    note_in_metadata(bundle, part, kTrainedAs, to_yaml(bundle.options().generator(part.generator).dit));
+    notes[kTrainedAs] = to_yaml(bundle.options().generator(part.generator).dit);
+  note_in_metadata(bundle, part, notes);
 }
 
 std::vector<std::string> mixed_parts(const ModelBundle& bundle, const std::vector<BundlePart>& parts,
@@ -108,13 +109,13 @@ std::vector<std::string> mixed_parts(const ModelBundle& bundle, const std::vecto
     const auto metadata = WeightFile::open(bundle.file(part))->metadata();
     const std::string name = bundle_part_name(part);
     for (const auto& difference : differences_from_training(bundle, part, metadata)) {
-      const std::string trained_as = fmt::format("{}.{}", name, difference_text(difference));
+      const std::string changed = fmt::format("{}.{}", name, difference_text(difference));
       if (!allow_mixed) {
-        fail({bundle.file(part).string(), "a part that was trained as model.yaml says", trained_as,
+        fail({bundle.file(part).string(), "a part that was trained as model.yaml says", changed,
               "put into model.yaml what it was, train " + name +
                   " again, or take it as it is with --allow-mixed"});
       }
-      warnings.push_back(fmt::format("{} was trained otherwise than model.yaml says: {}.", name, trained_as));
+      warnings.push_back(fmt::format("{} was trained otherwise than model.yaml says: {}.", name, changed));
     }
     const auto noted = metadata.find(kTrainedOn);
     if (noted == metadata.end()) {

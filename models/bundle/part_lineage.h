@@ -2,6 +2,7 @@
 
 #include "models/bundle/bundle.h"
 
+#include <map>
 #include <string>
 #include <vector>
 
@@ -16,9 +17,9 @@ namespace gld {
 // with; for what is shown carried photographs the geometry head too.
 std::vector<BundlePart> trained_on(const BundlePart& part, const BundleOptions& options);
 
-// Writes a text into the metadata of the part's file.
-void note_in_metadata(const ModelBundle& bundle, const BundlePart& part, const std::string& key,
-                      const std::string& value);
+// Writes texts, by key, into the metadata of the part's file.
+void note_in_metadata(const ModelBundle& bundle, const BundlePart& part,
+                      const std::map<std::string, std::string>& notes);
 
 // Writes into the part's file what its bundle has of those parts, and of its options, now. It is called for each part
 // right after it was made, and for parts that were made together in the order of bundle_parts().

@@ -15,7 +15,7 @@ constexpr const char* kTrainedViews = "gld:trained_views";
 }  // namespace
 
 void note_trained_views(const ModelBundle& bundle, const BundlePart& part, int64_t views) {
-  note_in_metadata(bundle, part, kTrainedViews, std::to_string(views));
+  note_in_metadata(bundle, part, {{kTrainedViews, std::to_string(views)}});
 }
 
 int64_t trained_views(const ModelBundle& bundle) {

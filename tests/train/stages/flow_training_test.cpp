@@ -187,7 +187,7 @@ TEST_F(TrainedChain, AModelThatIsShownPhotographsBelongsToTheirGeometryHead) {
   EXPECT_THAT(test::error_of([&] { mixed_parts(trained, {level}, false); }),
               testing::HasSubstr("expected a part that was trained on the dpt_head beside it"));
   // What is no text is no hash of anything.
-  note_in_metadata(trained, level, "gld:trained_on", R"({"backbone": 5})");
+  note_in_metadata(trained, level, {{"gld:trained_on", R"({"backbone": 5})"}});
   EXPECT_THAT(test::error_of([&] { mixed_parts(trained, {level}, false); }),
               testing::HasSubstr("expected a part that was trained on the backbone beside it"));
 }
