@@ -29,6 +29,10 @@ void FlowObjectiveOptions::visit(FieldVisitor& visitor) {
   visit_carried_by(visitor, carried_by);
   visitor.real({"camera_dropout", "probability of showing a scene without cameras"}, camera_dropout,
                {0.0, 1.0});
+  visitor.real({"carried_dropout",
+                "probability of carrying no photograph into the target views of a scene, as where no source tells "
+                "the unit of depth"},
+               carried_dropout, {0.0, 1.0});
   visitor.integer({"validation_evaluations", "function evaluations of the validation pictures"},
                   validation_evaluations, {1, 1000});
   visitor.boolean(
@@ -65,6 +69,10 @@ FlowObjective::FlowObjective(const BundleOptions& model, const LevelGenerator& g
     }
   }
   check_carried_by(options_.carried_by, placement_.device);
+  if (options_.carried_dropout > 0 && dit.warped_sources == 0) {
+    fail({"objective.carried_dropout", "0 for a model into which nothing is carried (warped_sources: 0)",
+          fmt::format("{:g}", options_.carried_dropout), "leave it out"});
+  }
   if (options_.correspondence_weight > 0 && options_.checkpoint_blocks) {
     fail({"objective.correspondence_weight", "0 with checkpoint_blocks, which keeps no queries and keys",
           fmt::format("{:g}", options_.correspondence_weight), "switch one of the two off"});
@@ -165,6 +173,11 @@ std::vector<FlowObjective::Errors> FlowObjective::velocity_errors(const std::vec
   return result;
 }
 
+SceneLatents FlowObjective::with_nothing_carried(SceneLatents latents) const {
+  set_no_warp(latents.shown, dit_->options());
+  return latents.to(placement_.device);
+}
+
 FlowObjective::Drawn FlowObjective::draw(const TrainingScene& on_host, torch::Generator& generator) {
   const TrainingScene scene = on_host.to(placement_.device);
   const auto encode = [&] { return latents(scene); };
@@ -177,6 +190,9 @@ FlowObjective::Drawn FlowObjective::draw(const TrainingScene& on_host, torch::Ge
   drawn.branch =
       draws[1].item<double>() < options_.camera_dropout ? DitBranch::kUnconditional : DitBranch::kConditional;
   drawn.noise = torch::randn(drawn.latents.clean.sizes(), generator, torch::kFloat32).to(placement_.device);
+  if (options_.carried_dropout > 0 &&
+      torch::rand({1}, generator, torch::kFloat64).item<double>() < options_.carried_dropout)
+    drawn.latents = with_nothing_carried(std::move(drawn.latents));
   if (options_.correspondence_weight > 0 && drawn.branch == DitBranch::kConditional) {
     drawn.truth = token_correspondence(on_host, model_.backbone.patch_side());
   }
@@ -217,7 +233,7 @@ torch::Tensor FlowObjective::generate(const DitSceneInputs& shown, const torch::
 Validation FlowObjective::validate(const std::vector<TrainingScene>& scenes) {
   constexpr int kTimes = 4;
   Validation validation;
-  double all = 0.0, source = 0.0, target = 0.0, one_step = 0.0, psnr_sum = 0.0;
+  double all = 0.0, source = 0.0, target = 0.0, target_uncarried = 0.0, one_step = 0.0, psnr_sum = 0.0;
   auto generator = at::detail::createCPUGenerator(kValidationSeed);
   for (const TrainingScene& on_host : scenes) {
     const TrainingScene scene = on_host.to(placement_.device);
@@ -232,6 +248,12 @@ Validation FlowObjective::validate(const std::vector<TrainingScene>& scenes) {
     }
     // At t = 1 the velocity's error is that of the prediction of the data; 1 would be predicting nothing.
     draws.push_back({of_scene, noise, 1.0, DitBranch::kConditional, {}});
+    if (options_.carried_dropout > 0) {
+      for (int i = 0; i < kTimes; ++i) {
+        draws.push_back(draws[static_cast<size_t>(i)]);
+        draws.back().latents = with_nothing_carried(of_scene);
+      }
+    }
     const auto errors = velocity_errors(draws);
     for (int i = 0; i < kTimes; ++i) {
       const FlowMatchingErrors& at_time = errors[static_cast<size_t>(i)].velocity;
@@ -239,7 +261,9 @@ Validation FlowObjective::validate(const std::vector<TrainingScene>& scenes) {
       source += at_time.source.item<double>() / kTimes;
       target += at_time.target.item<double>() / kTimes;
     }
-    one_step += errors.back().velocity.target.item<double>();
+    one_step += errors[kTimes].velocity.target.item<double>();
+    for (size_t i = kTimes + 1; i < errors.size(); ++i)
+      target_uncarried += errors[i].velocity.target.item<double>() / kTimes;
     if (!frozen_.rgb_decoder) continue;
     const auto decoded = decode(scene, generate(of_scene.shown, noise, shift)).to(torch::kCPU);
     const int64_t sources = scene.views.num_sources;
@@ -264,6 +288,8 @@ Validation FlowObjective::validate(const std::vector<TrainingScene>& scenes) {
                        {"flow_loss_source", source / count},
                        {"flow_loss_target", target / count},
                        {"one_step_error_target", one_step / count}};
+  if (options_.carried_dropout > 0)
+    validation.values.emplace_back("flow_loss_target_uncarried", target_uncarried / count);
   if (frozen_.rgb_decoder) validation.values.emplace_back("target_psnr", psnr_sum / count);
   return validation;
 }

@@ -21,6 +21,7 @@ struct FlowObjectiveOptions : OptionsGroup {
   ModelStart start = ModelStart::kRandom;
   CarryingDepth carried_by = CarryingDepth::kHead;  // for models with warped_sources
   double camera_dropout = 0.1;
+  double carried_dropout = 0;  // for models with warped_sources
   int64_t validation_evaluations = 8;
   bool checkpoint_blocks = false;
   double correspondence_weight = 0;
@@ -33,7 +34,9 @@ struct FlowObjectiveOptions : OptionsGroup {
 // Flow matching of the joint latent of all views (DESIGN.md section 4, "Flow"): one flow time a scene, uniform and
 // then shifted; x_t = (1 - t) x_data + t noise for all views; mean squared error of the velocity noise - x_data over
 // all views, with the parts of source and target views logged apart. With probability camera_dropout a scene is
-// shown without cameras, as the unconditional branch of guidance sees it.
+// shown without cameras, as the unconditional branch of guidance sees it. With probability carried_dropout nothing is
+// carried into its target views, as where no photograph tells the unit of depth: what never learnt to do without samples
+// noise there (docs/HISTORY.md, "Nothing carried"). Validation then has the loss of that too.
 //
 // With correspondence_weight (scenes with depth) the attention of correspondence_blocks is taught in which tokens of
 // the source views the surface of each token is seen (train/objectives/correspondence.h): novel views are made by
@@ -98,6 +101,7 @@ class FlowObjective : public Objective {
     TokenCorrespondence truth;
   };
   Drawn draw(const TrainingScene& on_host, torch::Generator& generator);
+  SceneLatents with_nothing_carried(SceneLatents latents) const;
   // Returns the errors of each scene; scenes of one size are evaluated together.
   std::vector<Errors> velocity_errors(const std::vector<Drawn>& scenes) const;
   double training_shift(const TrainingScene& scene) const;

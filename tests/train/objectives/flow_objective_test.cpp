@@ -11,8 +11,10 @@
 #include "train/objectives/level_objective.h"
 #include "train/objectives/source_view_depth.h"
 
+#include <algorithm>
 #include <cmath>
 #include <memory>
+#include <string>
 #include <tuple>
 #include <vector>
 
@@ -92,6 +94,18 @@ class TrueGeometry : public GeometryHead {
   GeometryOutput truth_;
 };
 
+bool has_value(const Validation& validation, const std::string& name) {
+  return std::any_of(validation.values.begin(), validation.values.end(),
+                     [&](const auto& value) { return value.first == name; });
+}
+
+double value_of(const Validation& validation, const std::string& name) {
+  for (const auto& value : validation.values)
+    if (value.first == name) return value.second;
+  ADD_FAILURE() << "no " << name;
+  return 0;
+}
+
 // Training shows a model what sampling will show it of the photographs that are carried into target views.
 void check_what_is_shown(int64_t sources_of_scene) {
   const test::TemporaryFolder folder;
@@ -167,6 +181,27 @@ void check_what_is_shown(int64_t sources_of_scene) {
       DitSceneInputs nothing = inputs;
       set_no_warp(nothing, model->options());
       const double without = flow_matching_errors(*model, nothing, draw).all.item<double>();
+      options.carried_dropout = 1;
+      LevelObjective uncarried(bundle.options(), 1, options, frozen, {}, 1);
+      uncarried.start_from(*model);
+      StepContext context;
+      context.generator = at::detail::createCPUGenerator(11);
+      EXPECT_NEAR(uncarried.losses(batch, context).total.item<double>() / without, 1,
+                  kept_gib > 0 ? 1e-3 : 1e-5);
+      if (dropped || kept_gib > 0) {
+        EXPECT_FALSE(has_value(objective.validate(batch.scenes), "flow_loss_target_uncarried"));
+      } else {
+        FlowMatchingDraw held_out;
+        held_out.clean = draw.clean;
+        auto validation_draws = at::detail::createCPUGenerator(20240607);
+        held_out.noise = torch::randn(draw.clean.sizes(), validation_draws, torch::kFloat32);
+        double loss = 0;
+        for (const double time : {0.125, 0.375, 0.625, 0.875}) {
+          held_out.time = shifted_time(time, 3.0);
+          loss += flow_matching_errors(*model, nothing, held_out).target.item<double>() / 4;
+        }
+        EXPECT_NEAR(value_of(uncarried.validate(batch.scenes), "flow_loss_target_uncarried") / loss, 1, 1e-5);
+      }
       if (dropped) {
         EXPECT_EQ(without, expected);  // the unconditional branch sees none of it
       } else {

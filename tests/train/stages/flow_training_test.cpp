@@ -437,6 +437,11 @@ TEST_F(TrainedChain, CorrespondenceIsTaughtBesideTheFlow) {
   EXPECT_EQ(test::error_of([&] { train_level(options, {}); }),
             "objective.correspondence_weight: expected 0 with checkpoint_blocks, which keeps no queries and "
             "keys, found 0.1; switch one of the two off.");
+  options.objective.checkpoint_blocks = false;
+  options.objective.carried_dropout = 0.2;
+  EXPECT_EQ(test::error_of([&] { train_level(options, {}); }),
+            "objective.carried_dropout: expected 0 for a model into which nothing is carried (warped_sources: 0), "
+            "found 0.2; leave it out.");
 }
 
 TEST_F(TrainedChain, BackboneAndDecoderGoOnFromTheBundle) {
