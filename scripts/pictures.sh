@@ -97,6 +97,9 @@ for run in room_1 room_2 door light moved beyond; do
   cp "$work/$run/config.yaml" "$work/$run/report.json" "docs/measured/pictures/$run/"
 done
 
+# What each level says of a view (the paper's Figures 3 and 5): the sheet of gld eval, first room of the demo's seed.
+"$gld" eval --model "$model" --synthetic 1 --synthetic-seed 910000 --pictures 1 --poses none --overwrite --out "$work/levels"
+
 # What drawn rooms look like, plain, varied and photographic.
 "$gld" synth --seed 910000 --scene-count 6 --frames 1 --width 224 --height 224 --out "$work/first" --overwrite
 "$gld" synth --seed 910000 --scene-count 6 --frames 1 --width 224 --height 224 --rooms varied --out "$work/varied" --overwrite
@@ -158,6 +161,9 @@ save(strip(rows, 200, 6), "failures.webp")
 sheet = Image.open(work / "room_1" / "contact_sheet.png").convert("RGB")
 sheet.thumbnail((1000, 1000), Image.LANCZOS)
 save(sheet, "contact_sheet.webp")
+sheet = Image.open(next((work / "levels" / "sheets").glob("*.png"))).convert("RGB")
+sheet.thumbnail((1000, 1000), Image.LANCZOS)
+save(sheet, "levels.webp")
 rooms = [(file, False) for kind in ("first", "varied", "photographic") for file in sorted((work / kind).glob("scenes/*/images/*.png"))]
 save(strip(rooms, 150, 6), "rooms.webp")
 total = sum(file.stat().st_size for file in pictures.iterdir())
