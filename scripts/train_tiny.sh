@@ -124,7 +124,7 @@ fi
 stage level level "$runs/stats/model" cpu
 stage cascade cascade "$runs/level/model" cpu
 if [ ! -f "$runs/eval/report.json" ]; then
-  run eval --model "$runs/cascade/model" --synthetic 64 --synthetic-seed 20261205 --samples 4 \
+  run eval --model "$runs/cascade/model" --synthetic 64 --synthetic-seed 20261212 --samples 4 \
     --out "$runs/eval" --overwrite --device "$device"
 fi
 echo "train_tiny: the model is in $runs/cascade/model; scripts/ship_tiny.sh $runs puts it into configs/tiny."
