@@ -29,10 +29,11 @@ void FlowObjectiveOptions::visit(FieldVisitor& visitor) {
   visit_carried_by(visitor, carried_by);
   visitor.real({"camera_dropout", "probability of showing a scene without cameras"}, camera_dropout,
                {0.0, 1.0});
-  visitor.real({"carried_dropout",
-                "probability of carrying no photograph into the target views of a scene, as where no source tells "
-                "the unit of depth"},
-               carried_dropout, {0.0, 1.0});
+  visitor.real(
+      {"carried_dropout",
+       "probability of carrying no photograph into the target views of a scene, as where no source tells "
+       "the unit of depth"},
+      carried_dropout, {0.0, 1.0});
   visitor.integer({"validation_evaluations", "function evaluations of the validation pictures"},
                   validation_evaluations, {1, 1000});
   visitor.boolean(

@@ -34,9 +34,9 @@ struct FlowObjectiveOptions : OptionsGroup {
 // Flow matching of the joint latent of all views (DESIGN.md section 4, "Flow"): one flow time a scene, uniform and
 // then shifted; x_t = (1 - t) x_data + t noise for all views; mean squared error of the velocity noise - x_data over
 // all views, with the parts of source and target views logged apart. With probability camera_dropout a scene is
-// shown without cameras, as the unconditional branch of guidance sees it. With probability carried_dropout nothing is
-// carried into its target views, as where no photograph tells the unit of depth: what never learnt to do without samples
-// noise there (docs/HISTORY.md, "Nothing carried"). Validation then has the loss of that too.
+// shown without cameras, as the unconditional branch of guidance sees it. With probability carried_dropout
+// nothing is carried into its target views, as where no photograph tells the unit of depth: what never learnt to
+// do without samples noise there (docs/HISTORY.md, "Nothing carried"). Validation then has the loss of that too.
 //
 // With correspondence_weight (scenes with depth) the attention of correspondence_blocks is taught in which tokens of
 // the source views the surface of each token is seen (train/objectives/correspondence.h): novel views are made by

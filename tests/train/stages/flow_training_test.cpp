@@ -439,9 +439,10 @@ TEST_F(TrainedChain, CorrespondenceIsTaughtBesideTheFlow) {
             "keys, found 0.1; switch one of the two off.");
   options.objective.checkpoint_blocks = false;
   options.objective.carried_dropout = 0.2;
-  EXPECT_EQ(test::error_of([&] { train_level(options, {}); }),
-            "objective.carried_dropout: expected 0 for a model into which nothing is carried (warped_sources: 0), "
-            "found 0.2; leave it out.");
+  EXPECT_EQ(
+      test::error_of([&] { train_level(options, {}); }),
+      "objective.carried_dropout: expected 0 for a model into which nothing is carried (warped_sources: 0), "
+      "found 0.2; leave it out.");
 }
 
 TEST_F(TrainedChain, BackboneAndDecoderGoOnFromTheBundle) {
