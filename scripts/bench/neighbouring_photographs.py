@@ -19,9 +19,6 @@ import subprocess
 
 from photographs import PLACES
 
-PLACES_AT_HAND = {"lund_door": ("known", "colmap_lund_door"), "tartanair": ("known", "tartanair_hospital"),
-                  "re10k": ("known", "gld_layout_5e040cd0758dcc96"), "sceaux": ("fresh", "sceaux"), "berlin": ("fresh", "berlin"),
-                  "monstree": ("fresh", "monstree")}
 COLUMNS = ["fill_psnr", "sample_psnr", "sample_psnr_unseen", "fill_psnr_unseen", "sample_sharpness"]
 
 
@@ -33,7 +30,7 @@ def measured(arguments, scene, first, model, run):
                                "--target-frames", str(first + 1), "--evaluations", str(arguments.evaluations), "--poses", "none", "--pictures", "0",
                                "--overwrite", "--out", str(run)], stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
         if made.returncode != 0:
-            if "frames" in made.stderr and first > 0:
+            if "-frames: expected frames from" in made.stderr:
                 return None
             raise SystemExit(made.stderr)
     means = json.loads(report.read_text())["means"]
@@ -50,8 +47,8 @@ def main():
     arguments = parser.parse_args()
     models = dict(model.split("=", 1) for model in arguments.models.split(","))
     rows = []
-    for place, (kind, folder) in PLACES_AT_HAND.items():
-        scene = pathlib.Path(PLACES[kind][0], folder)
+    for scene in dict.fromkeys(pathlib.Path(scenes, setting[1]) for scenes, _, settings in PLACES.values() for setting in settings):
+        place = scene.name
         if not scene.exists():
             parser.error(f"expected the scene {scene}, found none; scripts/bench/photographs.py says where it comes from")
         first = 0
@@ -62,7 +59,7 @@ def main():
             rows += [[place, f"{first},{first + 2}", first + 1, name, *values] for name, values in of_models.items()]
             first += 1
     with open(arguments.out, "w", newline="") as file:
-        writer = csv.writer(file)
+        writer = csv.writer(file, lineterminator="\n")
         writer.writerow(["place", "sources", "target", "model", *COLUMNS])
         writer.writerows([*row[:4], *("" if value is None else f"{value:.4f}" for value in row[4:])] for row in rows)
 
