@@ -250,9 +250,10 @@ Validation FlowObjective::validate(const std::vector<TrainingScene>& scenes) {
     // At t = 1 the velocity's error is that of the prediction of the data; 1 would be predicting nothing.
     draws.push_back({of_scene, noise, 1.0, DitBranch::kConditional, {}});
     if (options_.carried_dropout > 0) {
+      const SceneLatents uncarried = with_nothing_carried(of_scene);
       for (int i = 0; i < kTimes; ++i) {
         draws.push_back(draws[static_cast<size_t>(i)]);
-        draws.back().latents = with_nothing_carried(of_scene);
+        draws.back().latents = uncarried;
       }
     }
     const auto errors = velocity_errors(draws);
