@@ -32,6 +32,7 @@ class RepeatedScene : public Objective {
   torch::Device device() const override { return clean_.device(); }
   int64_t learn_in(ComputePrecision precision) override;
   std::vector<NamedParameter> parameters() const override { return named_parameters(*dit_); }
+  std::vector<NamedParameter> untrained() const override { return named_untrained(*dit_); }
   Losses losses(const TrainingBatch& /*batch*/, const StepContext& /*context*/) override {
     return {loss(), {}};
   }

@@ -3,6 +3,7 @@
 #include "gld/base/error.h"
 
 #include <algorithm>
+#include <filesystem>
 #include <thread>
 
 namespace gld {
@@ -16,6 +17,19 @@ void visit_out(FieldVisitor& visitor, std::string& out, bool& overwrite) {
 
 void check_out(const std::string& out, const std::string& example) {
   if (out.empty()) fail({"--out", "a folder to write into", "nothing", "add for example --out " + example});
+}
+
+void check_input_survives(const std::string& option, const std::string& input, const std::string& out,
+                          bool overwrite) {
+  if (!overwrite) return;
+  const auto place = [](const std::string& path) {  // without the slash at its end
+    const auto canonical = std::filesystem::weakly_canonical(std::filesystem::absolute(path));
+    return canonical.has_filename() ? canonical : canonical.parent_path();
+  };
+  const auto from_out = place(input).lexically_relative(place(out));
+  if (from_out.empty() || *from_out.begin() == "..") return;
+  fail({option, "a folder outside " + out + ", where --overwrite removes what an earlier run wrote", input,
+        "write into another --out"});
 }
 
 const std::vector<std::string>& options_beside_the_result() {

@@ -18,6 +18,9 @@ constexpr int64_t kMostThreads = 4096;
 void visit_out(FieldVisitor& visitor, std::string& out, bool& overwrite);
 // Throws Error for an empty one; example is such a folder, "runs/sample".
 void check_out(const std::string& out, const std::string& example);
+// Throws Error where the input of that option ("--model") lies in the run folder that --overwrite replaces.
+void check_input_survives(const std::string& option, const std::string& input, const std::string& out,
+                          bool overwrite);
 
 // Returns the options that say where a command writes, how it goes about it and what it prints, but not what comes out:
 // they are not part of what identifies a result.

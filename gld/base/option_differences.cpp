@@ -37,8 +37,9 @@ std::string difference_text(const OptionDifference& difference) {
 }
 
 std::vector<OptionDifference> differences_from(const std::string& yaml, const std::string& where,
-                                               const OptionsGroup& options) {
+                                               const OptionsGroup& options, const OptionsGroup* defaults) {
   std::map<std::string, std::string> before, now;
+  if (defaults != nullptr) flatten(parse_yaml(to_yaml(*defaults), where), "", before);
   flatten(parse_yaml(yaml, where), "", before);
   flatten(parse_yaml(to_yaml(options), where), "", now);
   std::vector<OptionDifference> differences;
@@ -55,10 +56,10 @@ bool is_beside_the_result(const std::string& key) {
 }
 
 void refuse_other_options(const std::filesystem::path& run, const OptionsGroup& options,
-                          const std::vector<std::string>& may_differ) {
+                          const OptionsGroup& defaults, const std::vector<std::string>& may_differ) {
   const auto file = run / kRunConfiguration;
   if (!std::filesystem::is_regular_file(file)) return;
-  for (const auto& difference : differences_from(read_file(file), file.string(), options)) {
+  for (const auto& difference : differences_from(read_file(file), file.string(), options, &defaults)) {
     if (is_beside_the_result(difference.key)) continue;
     if (std::find(may_differ.begin(), may_differ.end(), difference.key) != may_differ.end()) continue;
     fail({"--resume", "the options of the run, which has " + difference.key + " " + difference.before,

@@ -394,7 +394,7 @@ std::string evaluate(const EvaluationOptions& options) {
   const EarlierRun earlier = options.resume ? EarlierRun::kContinue : earlier_run(options.overwrite);
   if (share.leads()) {
     check_run_folder(options.out, "eval", earlier);
-    if (options.resume) refuse_other_options(options.out, options);
+    if (options.resume) refuse_other_options(options.out, options, EvaluationOptions());
   }
   const auto bundle = ModelBundle::open(options.model);
   if (!share.team->alone()) check_same_work(*share.team, options, bundle.content_hash());

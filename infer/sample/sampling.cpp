@@ -314,7 +314,7 @@ void sample(const SampleOptions& options) {
   use_threads(options.threads);
   const EarlierRun earlier = options.resume ? EarlierRun::kContinue : earlier_run(options.overwrite);
   check_run_folder(options.out, "sample", earlier);
-  if (options.resume) refuse_other_options(options.out, options, {"memory_limit"});
+  if (options.resume) refuse_other_options(options.out, options, SampleOptions(), {"memory_limit"});
   PreparedSampling prepared = prepare(options);
   const ModelBundle& bundle = prepared.bundle;
   SamplingScene& scene = prepared.scene;

@@ -80,7 +80,7 @@ void run_splat_pairs(const SplatPairsOptions& options) {
   options.check();
   const EarlierRun earlier = options.resume ? EarlierRun::kContinue : earlier_run(options.overwrite);
   check_run_folder(options.out, "splat pairs", earlier);
-  if (options.resume) refuse_other_options(options.out, options);
+  if (options.resume) refuse_other_options(options.out, options, SplatPairsOptions());
   KernelSettings settings;
   settings.threads = use_threads(options.threads);
   const ModelBundle bundle = ModelBundle::open(options.model);

@@ -7,6 +7,7 @@
 #include "gld/files/weight_file.h"
 #include "gld/tensors/weight_tensors.h"
 
+#include <algorithm>
 #include <filesystem>
 #include <map>
 #include <utility>
@@ -42,8 +43,9 @@ std::vector<OptionDifference> differences_from_training(const ModelBundle& bundl
                                                         const std::map<std::string, std::string>& metadata) {
   const auto noted = metadata.find(kTrainedAs);
   if (part.kind != BundlePart::Kind::kGenerator || noted == metadata.end()) return {};
+  const DitOptions defaults;
   return differences_from(noted->second, bundle.file(part).string() + " (" + kTrainedAs + ")",
-                          bundle.options().generator(part.generator).dit);
+                          bundle.options().generator(part.generator).dit, &defaults);
 }
 
 }  // namespace
@@ -87,12 +89,21 @@ void note_in_metadata(const ModelBundle& bundle, const BundlePart& part,
       [&](const TensorEntry& entry) { return read_tensor(*file, entry.name); }, metadata);
 }
 
-void note_trained_on(const ModelBundle& bundle, const BundlePart& part) {
+std::map<std::string, std::string> hashes_of_trained_on(const ModelBundle& bundle,
+                                                        const std::vector<BundlePart>& parts) {
   PartHashes hashes(bundle);
-  nlohmann::ordered_json made_of = nlohmann::ordered_json::object();
-  for (const auto& other : trained_on(part, bundle.options())) {
-    if (bundle.has(other)) made_of[bundle_part_name(other)] = hashes.of(other);
+  std::map<std::string, std::string> result;
+  for (const auto& part : parts) {
+    for (const auto& other : trained_on(part, bundle.options())) {
+      const bool made_too = std::find(parts.begin(), parts.end(), other) != parts.end();
+      if (bundle.has(other) && !made_too) result[bundle_part_name(other)] = hashes.of(other);
+    }
   }
+  return result;
+}
+
+void note_trained_on(const ModelBundle& bundle, const BundlePart& part) {
+  const nlohmann::json made_of = hashes_of_trained_on(bundle, {part});
   std::map<std::string, std::string> notes{{kTrainedOn, made_of.dump()}};
   if (part.kind == BundlePart::Kind::kGenerator)
     notes[kTrainedAs] = to_yaml(bundle.options().generator(part.generator).dit);

@@ -17,6 +17,11 @@ namespace gld {
 // with; for what is shown carried photographs the geometry head too.
 std::vector<BundlePart> trained_on(const BundlePart& part, const BundleOptions& options);
 
+// Returns the SHA-256 of the files of what those parts are trained on, by name, as far as the bundle has them and they
+// are not among the parts themselves.
+std::map<std::string, std::string> hashes_of_trained_on(const ModelBundle& bundle,
+                                                        const std::vector<BundlePart>& parts);
+
 // Writes texts, by key, into the metadata of the part's file.
 void note_in_metadata(const ModelBundle& bundle, const BundlePart& part,
                       const std::map<std::string, std::string>& notes);

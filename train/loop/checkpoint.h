@@ -24,6 +24,9 @@ struct Checkpoint {  // NOLINT(bugprone-exception-escape): moving JSON throws no
   std::map<std::string, torch::Tensor> tensors;  // any device
 };
 
+// The names of the tensors that are no step's (Objective::untrained()) begin so; checkpoints of programs of before have none.
+constexpr const char* kUntrainedTensors = "untrained.";
+
 // Writes one safetensors file under a temporary name and renames it. A checksum over all that it holds, names, dtypes,
 // shapes and metadata included, is kept in its metadata.
 void save_checkpoint(const std::filesystem::path& file, const Checkpoint& checkpoint);

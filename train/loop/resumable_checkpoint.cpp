@@ -38,6 +38,7 @@ void check_resumable(const Checkpoint& checkpoint, const Checkpoint& like, const
       return "shape " + c10::str(tensor.sizes()) + " in " + c10::toString(tensor.scalar_type());
     };
     if (found == checkpoint.tensors.end()) {
+      if (name.rfind(kUntrainedTensors, 0) == 0) continue;  // of a program of before
       fail({where, "tensor '" + name + "' of " + text(expected), "none of that name", remedy});
     }
     if (found->second.sizes() != expected.sizes() || found->second.scalar_type() != expected.scalar_type()) {
@@ -46,12 +47,12 @@ void check_resumable(const Checkpoint& checkpoint, const Checkpoint& like, const
   }
 }
 
-void check_same_model(const Checkpoint& checkpoint, const OptionsGroup& model,
+void check_same_model(const Checkpoint& checkpoint, const OptionsGroup& model, const OptionsGroup* defaults,
                       const std::vector<std::string>& may_change, const std::string& where) {
   const auto& state = checkpoint.metadata;
   const auto found = state.find("model");
   if (found == state.end() || !found->is_string()) return;  // of a program of before
-  for (const auto& difference : differences_from(found->get<std::string>(), where, model)) {
+  for (const auto& difference : differences_from(found->get<std::string>(), where, model, defaults)) {
     const std::string key = "model." + difference.key;
     if (difference.key == "name" ||
         std::find(may_change.begin(), may_change.end(), key) != may_change.end()) {
@@ -60,6 +61,19 @@ void check_same_model(const Checkpoint& checkpoint, const OptionsGroup& model,
     fail({"--resume",
           "the model.yaml that the run was begun with (" + difference.key + " " + difference.before + ")",
           difference.now, "leave it as it was, or allow it with --may-change " + key});
+  }
+}
+
+void check_same_parts(const Checkpoint& checkpoint, const std::map<std::string, std::string>& parts,
+                      const std::string& where) {
+  const auto& state = checkpoint.metadata;
+  const auto begun_on = state.find("trained_on");
+  if (begun_on == state.end() || !begun_on->is_object()) return;  // of a program of before
+  for (const auto& [name, hash] : parts) {
+    const auto before = begun_on->find(name);
+    if (before == begun_on->end() || *before == hash) continue;
+    fail({"--resume", "the " + name + " that " + where + " was trained on", "another " + name + " in --model",
+          "give the model that the run was begun with, or go on beside another one with --allow-mixed"});
   }
 }
 

@@ -32,14 +32,15 @@
 namespace gld {
 namespace {
 
-std::string four_digits(double value) { return fmt::format("{:.4g}", value); }
+// A number that is none has no sign.
+std::string four_digits(double value) { return std::isnan(value) ? "nan" : fmt::format("{:.4g}", value); }
 
 struct StepOutcome {
   bool finite = false;
   double loss = 0.0;
   double gradient_norm = 0.0;
-  std::string problem;      // what was not finite
-  int64_t micro_batch = 0;  // and of which
+  std::string problem;                 // what was not finite
+  std::optional<int64_t> micro_batch;  // and of which; a gradient is the sum of all
   int64_t scenes = 0;
   std::vector<std::pair<std::string, double>> parts;  // means over the micro-batches
 };
@@ -91,6 +92,34 @@ torch::Tensor average_of(const std::map<std::string, torch::Tensor>& optimiser_s
   return found == optimiser_state.end() ? torch::Tensor() : found->second;
 }
 
+// Returns the pictures, cameras and depth of a batch under names that say of which scene.
+std::map<std::string, torch::Tensor> tensors_of(const TrainingBatch& batch) {
+  std::map<std::string, torch::Tensor> tensors;
+  for (size_t i = 0; i < batch.scenes.size(); ++i) {
+    const TrainingScene& scene = batch.scenes[i];
+    const std::string prefix = "scene" + std::to_string(i) + ".";
+    tensors[prefix + "images"] = scene.images;
+    if (scene.depth.defined()) tensors[prefix + "depth"] = scene.depth;
+    if (scene.encoded.defined()) tensors[prefix + "encoded"] = scene.encoded;
+    if (scene.degraded.defined()) tensors[prefix + "degraded"] = scene.degraded;
+    const auto views = static_cast<int64_t>(scene.views.cameras.size());
+    torch::Tensor poses = torch::zeros({views, 4, 4}, torch::kFloat64);
+    torch::Tensor intrinsics = torch::zeros({views, 3, 3}, torch::kFloat64);
+    for (int64_t view = 0; view < views; ++view) {
+      const Camera& camera = scene.views.cameras[static_cast<size_t>(view)];
+      for (int row = 0; row < 4; ++row) {
+        for (int column = 0; column < 4; ++column) {
+          poses[view][row][column] = camera.world_from_camera.matrix()(row, column);
+          if (row < 3 && column < 3) intrinsics[view][row][column] = camera.intrinsics(row, column);
+        }
+      }
+    }
+    tensors[prefix + "world_from_camera"] = poses;
+    tensors[prefix + "intrinsics"] = intrinsics;
+  }
+  return tensors;
+}
+
 class Session {
  public:
   Session(const TrainingRun& run, const TrainingLoopOptions& options)
@@ -123,7 +152,7 @@ class Session {
   bool stop_requested() const;
   StepOutcome forward_backward();
   void count_non_finite(const StepOutcome& outcome);
-  void save_offending_batch() const;
+  std::vector<std::filesystem::path> save_offending() const;
   void log(const StepOutcome& outcome, double rate);
   // What the optimiser keeps of all parameters (SharedOptimiser::whole_state()).
   using OptimiserState = std::map<std::string, torch::Tensor>;
@@ -135,6 +164,11 @@ class Session {
   torch::Tensor trained_values() const { return parameters_.values().detach().clone(); }
   // Does the same where the objective may change tensors of its state before its next step is complete.
   Checkpoint kept_snapshot(const torch::Tensor& values, const OptimiserState& state) const;
+  // Returns what a stop writes as long as it lives; null of several processes, which stop behind a step alone.
+  std::unique_ptr<CheckpointOnStop::Steady> steady_state(const torch::Tensor& values,
+                                                         const OptimiserState& state) {
+    return stop_ ? std::make_unique<CheckpointOnStop::Steady>(*stop_, kept_snapshot(values, state)) : nullptr;
+  }
   double elapsed() const {
     return earlier_seconds_ +
            std::chrono::duration<double>(std::chrono::steady_clock::now() - begun_).count();
@@ -164,7 +198,8 @@ class Session {
   double best_ = std::numeric_limits<double>::infinity();
   double earlier_seconds_ = 0.0;
   std::chrono::steady_clock::time_point begun_ = std::chrono::steady_clock::now();
-  TrainingBatch last_batch_;
+  std::vector<TrainingBatch>
+      offending_;  // of the last step that was not finite, as far as this process computed it
   std::vector<std::pair<std::string, double>> validation_;
   std::vector<std::string> messages_;
 };
@@ -207,6 +242,7 @@ void Session::take_state_of_first_process() {
   auto beside = objective_.state();
   for (auto& [name, tensor] : beside) team_.broadcast(tensor, 0);
   objective_.load_state(beside, "the state of rank 0");
+  for (auto& [name, tensor] : objective_.untrained()) team_.broadcast(tensor, 0);
   torch::Tensor random = generator_.get_state();
   team_.broadcast(random, 0);
   generator_.set_state(random);
@@ -224,7 +260,9 @@ void Session::read_checkpoint(TrainingStart start) {
   check_training_start(run_.folder, start);
   const auto check = [this](const Checkpoint& checkpoint, const std::string& where) {
     check_resumable(checkpoint, snapshot(optimiser_.like_whole_state()), objective_.kind(), where);
-    if (run_.model != nullptr) check_same_model(checkpoint, *run_.model, run_.may_change, where);
+    if (run_.model != nullptr)
+      check_same_model(checkpoint, *run_.model, run_.model_defaults, run_.may_change, where);
+    if (!run_.allow_other_parts) check_same_parts(checkpoint, run_.trained_on, where);
   };
   const auto found = start == TrainingStart::kResume ? checkpoints_.newest(check) : std::nullopt;
   if (found) {
@@ -248,6 +286,10 @@ void Session::read_checkpoint(TrainingStart start) {
       };
       take("model.", parameters_.values());
       if (average.defined()) take("ema.", average);
+    }
+    for (auto& [name, tensor] : objective_.untrained()) {
+      const auto kept = checkpoint.tensors.find(kUntrainedTensors + name);
+      if (kept != checkpoint.tensors.end()) tensor.copy_(kept->second);
     }
     if (average.defined()) optimiser_state["average"] = average;
     optimiser_.load_state(optimiser_state, where);
@@ -292,6 +334,7 @@ Checkpoint Session::snapshot(const torch::Tensor& values, const OptimiserState& 
                          {"steps", options_.steps},
                          {"learning_rate", learning_rate(options_.learning_rate, step_, options_.steps)}};
   if (run_.model != nullptr) checkpoint.metadata["model"] = to_yaml(*run_.model);
+  if (!run_.trained_on.empty()) checkpoint.metadata["trained_on"] = run_.trained_on;
   checkpoint.metadata["best"] = std::isfinite(best_) ? nlohmann::json(best_) : nlohmann::json();
   for (size_t i = 0; i < parameters_.parameters().size(); ++i) {
     const std::string& name = parameters_.parameters()[i].name;
@@ -303,6 +346,8 @@ Checkpoint Session::snapshot(const torch::Tensor& values, const OptimiserState& 
     if (name != "average") checkpoint.tensors["optimiser." + name] = tensor;
   }
   for (const auto& [name, tensor] : objective_.state()) checkpoint.tensors["objective." + name] = tensor;
+  for (const auto& [name, tensor] : objective_.untrained())
+    checkpoint.tensors[kUntrainedTensors + name] = tensor;
   checkpoint.tensors["random.cpu"] = generator_.get_state();
   return checkpoint;
 }
@@ -326,7 +371,6 @@ StepOutcome Session::forward_backward() {
   work.share = 1.0 / static_cast<double>(options_.micro_batches);
   Averages parts;
   double loss_sum = 0.0;
-  last_batch_ = batches.back().batch;
   const auto results = team_.alone() ? add_gradients(objective_, parameters_, batches, work)
                                      : add_gradients_of_all(team_, objective_, parameters_, batches,
                                                             options_.micro_batches, work);
@@ -336,7 +380,6 @@ StepOutcome Session::forward_backward() {
     if (!std::isfinite(results[micro].loss)) {
       if (outcome.finite) {
         outcome.micro_batch = static_cast<int64_t>(micro);
-        if (computes(outcome.micro_batch)) last_batch_ = batches[micro / processes].batch;
       }
       outcome.finite = false;
       outcome.problem = "a loss of " + four_digits(results[micro].loss);
@@ -353,51 +396,44 @@ StepOutcome Session::forward_backward() {
       outcome.problem = "a gradient norm of " + four_digits(outcome.gradient_norm);
     }
   }
+  offending_.clear();
+  for (size_t own = 0; !outcome.finite && own < batches.size(); ++own) {
+    const auto micro = static_cast<int64_t>(own * processes) + team_.rank();
+    if (outcome.micro_batch.value_or(micro) == micro) offending_.push_back(batches[own].batch);
+  }
   nlohmann::ordered_json means;
   parts.write_into(means);
   for (const auto& item : means.items()) outcome.parts.emplace_back(item.key(), item.value().get<double>());
   return outcome;
 }
 
-void Session::save_offending_batch() const {
-  std::map<std::string, torch::Tensor> tensors;
-  for (size_t i = 0; i < last_batch_.scenes.size(); ++i) {
-    const TrainingScene& scene = last_batch_.scenes[i];
-    const std::string prefix = "scene" + std::to_string(i) + ".";
-    tensors[prefix + "images"] = scene.images;
-    if (scene.depth.defined()) tensors[prefix + "depth"] = scene.depth;
-    if (scene.encoded.defined()) tensors[prefix + "encoded"] = scene.encoded;
-    if (scene.degraded.defined()) tensors[prefix + "degraded"] = scene.degraded;
-    const auto views = static_cast<int64_t>(scene.views.cameras.size());
-    torch::Tensor poses = torch::zeros({views, 4, 4}, torch::kFloat64);
-    torch::Tensor intrinsics = torch::zeros({views, 3, 3}, torch::kFloat64);
-    for (int64_t view = 0; view < views; ++view) {
-      const Camera& camera = scene.views.cameras[static_cast<size_t>(view)];
-      for (int row = 0; row < 4; ++row) {
-        for (int column = 0; column < 4; ++column) {
-          poses[view][row][column] = camera.world_from_camera.matrix()(row, column);
-          if (row < 3 && column < 3) intrinsics[view][row][column] = camera.intrinsics(row, column);
-        }
-      }
-    }
-    tensors[prefix + "world_from_camera"] = poses;
-    tensors[prefix + "intrinsics"] = intrinsics;
-  }
+// Returns the files, one a micro-batch that may be the cause.
+std::vector<std::filesystem::path> Session::save_offending() const {
   const auto folder = run_.folder / "non_finite";
   std::filesystem::create_directories(folder);
-  save_safetensors(folder / "batch.safetensors", tensors,
-                   {{"step", std::to_string(step_)}, {"batch_index", std::to_string(last_batch_.index)}});
+  std::vector<std::filesystem::path> files;
+  for (const TrainingBatch& batch : offending_) {
+    files.push_back(folder / fmt::format("batch_{}.safetensors", batch.index));
+    save_safetensors(files.back(), tensors_of(batch),
+                     {{"step", std::to_string(step_)}, {"batch_index", std::to_string(batch.index)}});
+  }
+  return files;
 }
 
 void Session::count_non_finite(const StepOutcome& outcome) {
   ++skipped_;
   ++skipped_in_a_row_;
   if (skipped_in_a_row_ < options_.stop_after_non_finite) return;
-  if (computes(outcome.micro_batch)) save_offending_batch();
+  const auto files = save_offending();
+  const std::string look =
+      files.empty()
+          ? "look at what the process that computed it wrote into " + (run_.folder / "non_finite").string()
+      : files.size() == 1 ? "look at the batch in " + files.front().string()
+                          : fmt::format("look at the step's {} batches in {}", files.size(),
+                                        files.front().parent_path().string());
   fail({"training step " + std::to_string(step_), "finite losses and gradients",
         outcome.problem + " (" + std::to_string(skipped_in_a_row_) + " skipped steps in a row)",
-        "look at the batch in " + (run_.folder / "non_finite" / "batch.safetensors").string() +
-            ", or lower the learning rate with --resume --may-change loop.learning_rate.peak"});
+        look + ", or lower the learning rate with --resume --may-change loop.learning_rate.peak"});
 }
 
 void Session::validate(const OptimiserState& state) {
@@ -405,7 +441,7 @@ void Session::validate(const OptimiserState& state) {
   Validation validation;
   {
     const torch::NoGradGuard no_grad;
-    const CheckpointOnStop::Steady steady(*stop_, kept_snapshot(trained_values(), state));
+    const auto steady = steady_state(trained_values(), state);
     const AverageInPlace average(parameters_, average_of(state));
     validation = objective_.validate(run_.validation_scenes);
   }
@@ -428,7 +464,8 @@ void Session::validate(const OptimiserState& state) {
 
 TrainingSummary Session::run() {
   const int64_t first_step = step_;
-  stop_.emplace(checkpoints_, run_.on_stop);
+  // Of several processes none ends in the midst of a step, for which the others would wait.
+  if (team_.alone()) stop_.emplace(checkpoints_, run_.on_stop);
   std::optional<Progress> progress;
   if (!leads()) {
     // Rank 0 speaks for all.
@@ -473,11 +510,7 @@ TrainingSummary Session::run() {
     }
     const double rate = learning_rate(options_.learning_rate, step_, options_.steps);
     const StepOutcome outcome = [&] {
-      // In pieces the state of the last step is in no one process: who asks to stop waits for the step.
-      std::optional<CheckpointOnStop::Steady> steady;
-      if (!optimiser_.in_pieces()) {
-        steady.emplace(*stop_, kept_snapshot(parameters_.values(), optimiser_.whole_state()));
-      }
+      const auto steady = stop_ ? steady_state(parameters_.values(), optimiser_.whole_state()) : nullptr;
       return forward_backward();
     }();
     scenes += outcome.scenes;
@@ -531,7 +564,7 @@ TrainingSummary Session::run() {
   const OptimiserState state = optimiser_.whole_state();
   if (leads()) {
     const torch::NoGradGuard no_grad;
-    const CheckpointOnStop::Steady steady(*stop_, kept_snapshot(trained_values(), state));
+    const auto steady = steady_state(trained_values(), state);
     const AverageInPlace average(parameters_, average_of(state));
     const auto folder = run_.folder / "model";
     std::filesystem::create_directories(folder);

@@ -11,6 +11,7 @@
 #include <cstdint>
 #include <filesystem>
 #include <functional>
+#include <map>
 #include <memory>
 #include <string>
 #include <vector>
@@ -64,7 +65,13 @@ struct TrainingRun {
   // This describes the model beside the options of the run, model.yaml. Checkpoints keep it, and going on with another
   // one is an Error, but for the keys ("model.level1_time_shift.training") of may_change. Null stands for nothing.
   const OptionsGroup* model = nullptr;
+  const OptionsGroup* model_defaults =
+      nullptr;  // as constructed: of what a checkpoint's program did not have; or null
   std::vector<std::string> may_change;
+  // SHA-256 of the frozen parts that the objective is trained on, by name. Checkpoints keep them too, and going on with
+  // others is an Error unless allowed.
+  std::map<std::string, std::string> trained_on;
+  bool allow_other_parts = false;
 };
 
 struct TrainingSummary {
@@ -82,7 +89,7 @@ void check_training_start(const std::filesystem::path& folder, TrainingStart sta
 
 // The one training loop. Writes into run.folder: checkpoints/, metrics.jsonl, loss.svg and .png, validation/, model/
 // (the exported bundle, at the end). Steps whose loss or gradient is not finite are skipped and counted;
-// stop_after_non_finite of them in a row are an Error, with the last batch saved in non_finite/. On Ctrl-C a
+// stop_after_non_finite of them in a row are an Error, with the batches that may be the cause saved in non_finite/. On Ctrl-C a
 // checkpoint is written and Interrupted is thrown. On the CPU with one thread count, N steps in one call and in
 // several with kResume give the same bytes.
 TrainingSummary train(const TrainingRun& run, const TrainingLoopOptions& options, TrainingStart start);

@@ -66,6 +66,10 @@ std::vector<NamedParameter> AutoencoderObjective::parameters() const {
   return named_parameters(*backbone_, model_.backbone.architecture().published_prefix());
 }
 
+std::vector<NamedParameter> AutoencoderObjective::untrained() const {
+  return named_untrained(*backbone_, model_.backbone.architecture().published_prefix());
+}
+
 Losses AutoencoderObjective::losses(const TrainingBatch& batch, const StepContext& context) {
   const double share = 1.0 / static_cast<double>(batch.scenes.size());
   Losses losses;

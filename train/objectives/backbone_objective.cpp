@@ -95,6 +95,11 @@ BackboneObjective::BackboneObjective(const BundleOptions& model, const BackboneO
           fmt::format("{:g}", options_.known_cameras),
           "give the model one (backbone.camera_encoder_depth), or leave it out"});
   }
+  if (options_.correspondence_weight > 0 && options_.correspondence_blocks.empty() && !head_only()) {
+    fail({"objective.correspondence_weight",
+          "0 without correspondence_blocks, whose attention it would teach",
+          fmt::format("{:g}", options_.correspondence_weight), "name blocks, or leave it out"});
+  }
   for (const int64_t block : options_.correspondence_blocks) {
     if (block >= backbone.blocks() || !backbone.attends_over_views(block)) {
       fail({"objective.correspondence_blocks",
@@ -161,6 +166,16 @@ std::vector<NamedParameter> BackboneObjective::parameters() const {
   return result;
 }
 
+std::vector<NamedParameter> BackboneObjective::untrained() const {
+  std::vector<NamedParameter> result;
+  if (!head_only()) result = named_untrained(*backbone_, model_.backbone.architecture().published_prefix());
+  if (head_) {
+    for (auto& item : named_untrained(*head_, model_.geometry_head.architecture().published_prefix()))
+      result.push_back(std::move(item));
+  }
+  return result;
+}
+
 BackboneObjective::SceneResult BackboneObjective::evaluate(const TrainingScene& scene,
                                                            const Showing& showing) const {
   const int64_t views = showing.views;
@@ -200,18 +215,19 @@ BackboneObjective::SceneResult BackboneObjective::evaluate(const TrainingScene& 
   if (showing.head) {
     result.output = head_->forward(GeometryInputs{levels, leading}, grid, GeometryMaps::kDepthAndRays);
     const RayGrid rays = {result.output.rays.size(1), result.output.rays.size(2)};
-    const GeometryTargets targets = geometry_targets(shown, rays);
-    result.geometry = geometry_losses(result.output, targets, options_.loss);
-    if (!torch::GradMode::is_enabled()) result.rays = ray_errors(result.output.rays, targets);
+    if (const auto targets = geometry_targets(shown, rays)) {
+      result.geometry = geometry_losses(result.output, *targets, options_.loss);
+      if (!torch::GradMode::is_enabled()) result.rays = ray_errors(result.output.rays, *targets);
+    }
   }
   result.token_errors.resize(geometry_layers_.size());
   if (!geometry_layers_.empty()) {
     const auto targets =
         geometry_targets(shown, {kTokenDepthsASide * grid.height, kTokenDepthsASide * grid.width});
     for (size_t level = 0; level < geometry_layers_.size(); ++level) {
-      if (!geometry_layers_[level]) continue;
+      if (!geometry_layers_[level] || !targets) continue;
       result.token_errors[level] = token_geometry_losses(geometry_layers_[level]->forward(levels[level]),
-                                                         targets, {grid.height, grid.width}, options_.loss);
+                                                         *targets, {grid.height, grid.width}, options_.loss);
     }
   }
   if (!taps.empty()) {
@@ -240,6 +256,8 @@ Losses BackboneObjective::losses(const TrainingBatch& batch, const StepContext& 
   const double share = 1.0 / static_cast<double>(batch.scenes.size());
   Losses losses;
   PartMeans parts;
+  // Where no scene says anything the gradient is 0, not missing.
+  losses.total = 0 * parameters().front().parameter.sum();
   for (const TrainingScene& scene : batch.scenes) {
     const int64_t all = scene.views.size();
     const auto draws = torch::rand({3}, generator, torch::kFloat64);
@@ -257,7 +275,8 @@ Losses BackboneObjective::losses(const TrainingBatch& batch, const StepContext& 
         torch::rand({}, generator, torch::kFloat64).item<double>() < options_.known_cameras;
     showing.noisy = &generator;
     const SceneResult result = evaluate(scene, showing);
-    torch::Tensor total = showing.head ? result.geometry.total : torch::zeros({}, scene.images.options());
+    const bool says_geometry = result.geometry.total.defined();
+    torch::Tensor total = says_geometry ? result.geometry.total : torch::zeros({}, scene.images.options());
     for (size_t level = 0; level < result.pixel_errors.size(); ++level) {
       total = total + options_.pixel_weights[level] * result.pixel_errors[level];
       parts.add("pixels_level" + std::to_string(level), result.pixel_errors[level]);
@@ -272,8 +291,8 @@ Losses BackboneObjective::losses(const TrainingBatch& batch, const StepContext& 
       total = total + options_.correspondence_weight * result.correspondence;
       parts.add("correspondence", result.correspondence);
     }
-    losses.total = losses.total.defined() ? losses.total + share * total : share * total;
-    if (!showing.head) continue;
+    losses.total = losses.total + share * total;
+    if (!says_geometry) continue;
     parts.add("depth", result.geometry.depth);
     parts.add("depth_gradient", result.geometry.gradient);
     parts.add("rays", result.geometry.ray);
@@ -290,9 +309,11 @@ Losses BackboneObjective::losses(const TrainingBatch& batch, const StepContext& 
 Validation BackboneObjective::validate(const std::vector<TrainingScene>& scenes) {
   Validation validation;
   struct HeadErrors {
-    double total = 0, relative = 0, camera = 0;
+    double total = 0, relative = 0, camera = 0, scenes = 0;
     RayErrors rays;
     void add(const SceneResult& result) {
+      if (!result.geometry.total.defined()) return;
+      scenes += 1;
       total += result.geometry.total.item<double>();
       relative += result.geometry.absolute_relative.item<double>();
       if (result.geometry.camera.defined()) camera += result.geometry.camera.item<double>();
@@ -303,6 +324,7 @@ Validation BackboneObjective::validate(const std::vector<TrainingScene>& scenes)
   double pixel_error = 0.0, pixel_psnr = 0.0, correspondence = 0.0;
   std::vector<RayErrors> token_rays(geometry_layers_.size());
   std::vector<double> token_depth(geometry_layers_.size());
+  double with_depth = 0;  // scenes that linear layers were measured on
   for (const TrainingScene& scene : scenes) {
     Showing showing;
     showing.views = scene.views.size();
@@ -314,6 +336,8 @@ Validation BackboneObjective::validate(const std::vector<TrainingScene>& scenes)
       told.add(evaluate(scene, showing));
     }
     if (result.correspondence.defined()) correspondence += result.correspondence.item<double>();
+    const auto measured = [](const TokenGeometryLosses& losses) { return losses.total.defined(); };
+    if (std::any_of(result.token_errors.begin(), result.token_errors.end(), measured)) with_depth += 1;
     for (size_t level = 0; level < token_rays.size(); ++level) {
       token_rays[level] += result.token_errors[level].rays;
       token_depth[level] += result.token_errors[level].depth_abs_rel;
@@ -343,8 +367,16 @@ Validation BackboneObjective::validate(const std::vector<TrainingScene>& scenes)
     }
   }
   const auto count = static_cast<double>(scenes.size());
+  const bool reads_geometry = std::any_of(geometry_layers_.begin(), geometry_layers_.end(),
+                                          [](const auto& layer) { return layer != nullptr; });
+  if ((head_ && found.scenes == 0) || (reads_geometry && with_depth == 0)) {
+    fail({"validation of a backbone", "a scene with pixels of known depth",
+          "none among " + std::to_string(scenes.size()),
+          "give others with --validation-folder, or none with --validation-scenes 0"});
+  }
   const auto add_head_errors = [&](const std::string& prefix, const HeadErrors& errors) {
     const RayErrors& rays = errors.rays;
+    const double count = errors.scenes;
     validation.values.insert(validation.values.end(),
                              {{prefix + "geometry_loss", errors.total / count},
                               {prefix + "depth_abs_rel", errors.relative / count},
@@ -360,11 +392,12 @@ Validation BackboneObjective::validate(const std::vector<TrainingScene>& scenes)
   for (size_t level = 0; level < token_rays.size(); ++level) {
     if (!geometry_layers_[level]) continue;
     const std::string name = "level" + std::to_string(level) + "_";
-    validation.values.emplace_back(name + "depth_abs_rel", token_depth[level] / count);
-    validation.values.emplace_back(name + "rotation_degrees", token_rays[level].rotation_degrees / count);
+    validation.values.emplace_back(name + "depth_abs_rel", token_depth[level] / with_depth);
+    validation.values.emplace_back(name + "rotation_degrees",
+                                   token_rays[level].rotation_degrees / with_depth);
     validation.values.emplace_back(name + "translation_degrees",
-                                   token_rays[level].translation_degrees / count);
-    validation.values.emplace_back(name + "origin_error", token_rays[level].origin / count);
+                                   token_rays[level].translation_degrees / with_depth);
+    validation.values.emplace_back(name + "origin_error", token_rays[level].origin / with_depth);
   }
   if (options_.correspondence_weight > 0 && !head_only()) {
     validation.values.emplace_back("correspondence", correspondence / count);

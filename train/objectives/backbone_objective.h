@@ -74,6 +74,7 @@ class BackboneObjective : public Objective {
   bool concurrent() const override { return true; }
   int64_t learn_in(ComputePrecision precision) override;
   std::vector<NamedParameter> parameters() const override;
+  std::vector<NamedParameter> untrained() const override;
   Losses losses(const TrainingBatch& batch, const StepContext& context) override;
   Validation validate(const std::vector<TrainingScene>& scenes) override;
   void export_model(const std::filesystem::path& folder, DType dtype) const override;

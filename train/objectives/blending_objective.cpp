@@ -79,6 +79,8 @@ int64_t BlendingObjective::learn_in(ComputePrecision precision) {
 
 std::vector<NamedParameter> BlendingObjective::parameters() const { return named_parameters(*blending_); }
 
+std::vector<NamedParameter> BlendingObjective::untrained() const { return named_untrained(*blending_); }
+
 BlendingCandidates BlendingObjective::candidates_of(const TrainingScene& scene, DepthOf origin) const {
   const torch::NoGradGuard no_grad;
   const auto pictures = scene.images.slice(0, 0, scene.views.num_sources);

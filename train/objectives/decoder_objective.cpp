@@ -108,6 +108,10 @@ std::vector<NamedParameter> DecoderObjective::parameters() const {
   return named_parameters(*decoder_, RgbDecoder::kPrefix);
 }
 
+std::vector<NamedParameter> DecoderObjective::untrained() const {
+  return named_untrained(*decoder_, RgbDecoder::kPrefix);
+}
+
 std::vector<torch::Tensor> DecoderObjective::levels_of(const torch::Tensor& images) const {
   const torch::NoGradGuard no_grad;
   std::vector<torch::Tensor> levels;

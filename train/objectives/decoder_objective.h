@@ -73,6 +73,7 @@ class DecoderObjective : public Objective {
   int64_t learn_in(ComputePrecision precision) override;
   bool spreads_over_processes() const override { return discriminator_ == nullptr; }
   std::vector<NamedParameter> parameters() const override;
+  std::vector<NamedParameter> untrained() const override;
   Losses losses(const TrainingBatch& batch, const StepContext& context) override;
   std::vector<std::pair<std::string, double>> after_step(const StepContext& context) override;
   Validation validate(const std::vector<TrainingScene>& scenes) override;

@@ -123,6 +123,10 @@ std::vector<NamedParameter> DepthRefinementObjective::parameters() const {
   return named_parameters(*refinement_);
 }
 
+std::vector<NamedParameter> DepthRefinementObjective::untrained() const {
+  return named_untrained(*refinement_);
+}
+
 std::optional<DepthRefinementObjective::Lesson> DepthRefinementObjective::lesson_of(
     const TrainingScene& scene) const {
   const torch::NoGradGuard no_grad;

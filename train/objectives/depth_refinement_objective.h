@@ -50,6 +50,7 @@ class DepthRefinementObjective : public Objective {
   bool concurrent() const override { return true; }
   int64_t learn_in(ComputePrecision precision) override;
   std::vector<NamedParameter> parameters() const override;
+  std::vector<NamedParameter> untrained() const override;
   Losses losses(const TrainingBatch& batch, const StepContext& context) override;
   // Measures depth that is not mended and mended depth: abs_rel of source views, not scaled to the truth, the mean of
   // scenes; the same over all pixels that another source view shows as well (shared) and that none does (alone); and

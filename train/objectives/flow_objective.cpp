@@ -74,6 +74,11 @@ FlowObjective::FlowObjective(const BundleOptions& model, const LevelGenerator& g
     fail({"objective.carried_dropout", "0 for a model into which nothing is carried (warped_sources: 0)",
           fmt::format("{:g}", options_.carried_dropout), "leave it out"});
   }
+  if (options_.correspondence_weight > 0 && options_.correspondence_blocks.empty()) {
+    fail({"objective.correspondence_weight",
+          "0 without correspondence_blocks, whose attention it would teach",
+          fmt::format("{:g}", options_.correspondence_weight), "name blocks, or leave it out"});
+  }
   if (options_.correspondence_weight > 0 && options_.checkpoint_blocks) {
     fail({"objective.correspondence_weight", "0 with checkpoint_blocks, which keeps no queries and keys",
           fmt::format("{:g}", options_.correspondence_weight), "switch one of the two off"});
@@ -87,6 +92,8 @@ FlowObjective::FlowObjective(const BundleOptions& model, const LevelGenerator& g
 int64_t FlowObjective::learn_in(ComputePrecision precision) { return gld::learn_in(*dit_, precision); }
 
 std::vector<NamedParameter> FlowObjective::parameters() const { return named_parameters(*dit_); }
+
+std::vector<NamedParameter> FlowObjective::untrained() const { return named_untrained(*dit_); }
 
 void FlowObjective::start_from(const DitDh& trained) {
   const torch::NoGradGuard no_grad;

@@ -48,6 +48,7 @@ class FlowObjective : public Objective {
   bool concurrent() const override { return !options_.checkpoint_blocks; }
   int64_t learn_in(ComputePrecision precision) override;
   std::vector<NamedParameter> parameters() const override;
+  std::vector<NamedParameter> untrained() const override;
   // Keeps what the frozen networks make of scenes in that folder too.
   void keep_in(std::shared_ptr<const KeptFolder> folder) { kept_latents_.keep_in(std::move(folder)); }
   // Takes over the weights of a trained model of the same architecture.

@@ -54,7 +54,7 @@ torch::Tensor pixel_under_cell(int64_t cells, int64_t pixels) {
   return index;
 }
 
-GeometryTargets geometry_targets(const TrainingScene& scene, const RayGrid& grid) {
+std::optional<GeometryTargets> geometry_targets(const TrainingScene& scene, const RayGrid& grid) {
   if (!scene.depth.defined()) {
     fail({"scene " + scene.name, "depth to train the backbone with", "none",
           "use scenes with depth, such as those of gld synth"});
@@ -83,9 +83,7 @@ GeometryTargets geometry_targets(const TrainingScene& scene, const RayGrid& grid
   const auto points =
       targets.rays.narrow(3, 0, 3) * targets.ray_depth.unsqueeze(3) + targets.rays.narrow(3, 3, 3);
   const auto norms = points.norm(2, -1).masked_select(targets.ray_valid);
-  if (norms.numel() == 0) {
-    fail({"scene " + scene.name, "pixels with a known depth", "none", "leave the scene out"});
-  }
+  if (norms.numel() == 0) return std::nullopt;
   targets.scale = std::max(norms.to(torch::kFloat64).mean().item<double>(), 1e-12);
   targets.depth = depth / targets.scale;
   targets.ray_depth = targets.ray_depth / targets.scale;

@@ -3,6 +3,7 @@
 #include "train/data/training_scene.h"
 
 #include <cstdint>
+#include <optional>
 
 #include <torch/types.h>
 
@@ -31,7 +32,7 @@ struct RayGrid {
 // Returns, of each of `cells` that cover so many pixels evenly, the pixel under its middle.
 torch::Tensor pixel_under_cell(int64_t cells, int64_t pixels);
 
-// Throws Error when the scene has no depth or no pixel with a known one.
-GeometryTargets geometry_targets(const TrainingScene& scene, const RayGrid& grid);
+// Returns none where no cell's depth is known, which leaves the scale open. Throws Error when the scene comes without depth.
+std::optional<GeometryTargets> geometry_targets(const TrainingScene& scene, const RayGrid& grid);
 
 }  // namespace gld

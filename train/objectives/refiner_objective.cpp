@@ -85,6 +85,8 @@ int64_t RefinerObjective::learn_in(ComputePrecision precision) { return gld::lea
 
 std::vector<NamedParameter> RefinerObjective::parameters() const { return named_parameters(*unet_); }
 
+std::vector<NamedParameter> RefinerObjective::untrained() const { return named_untrained(*unet_); }
+
 torch::Tensor RefinerObjective::decoded(const torch::Tensor& latents) const {
   const int64_t pixels = autoencoder_->architecture().latent_pixels();
 

@@ -66,6 +66,8 @@ int64_t SampleRefinerObjective::learn_in(ComputePrecision precision) {
 
 std::vector<NamedParameter> SampleRefinerObjective::parameters() const { return named_parameters(*unet_); }
 
+std::vector<NamedParameter> SampleRefinerObjective::untrained() const { return named_untrained(*unet_); }
+
 LatentGrid SampleRefinerObjective::grid_of(const TrainingScene& scene) const {
   return model_.backbone.grid_of(scene.views.size(), scene.height(), scene.width());
 }

@@ -52,6 +52,7 @@ class SampleRefinerObjective : public Objective {
   bool concurrent() const override { return true; }
   int64_t learn_in(ComputePrecision precision) override;
   std::vector<NamedParameter> parameters() const override;
+  std::vector<NamedParameter> untrained() const override;
   Losses losses(const TrainingBatch& batch, const StepContext& context) override;
   // Beside the sample that is repaired, values are of one with the default's evaluations, of the same noise.
   Validation validate(const std::vector<TrainingScene>& scenes) override;

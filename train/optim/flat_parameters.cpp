@@ -21,6 +21,16 @@ std::vector<NamedParameter> named_parameters(const torch::nn::Module& module, co
   return result;
 }
 
+std::vector<NamedParameter> named_untrained(const torch::nn::Module& module, const std::string& prefix) {
+  std::vector<NamedParameter> result;
+  for (const auto& item : module.named_parameters(/*recurse=*/true)) {
+    if (!item.value().requires_grad()) result.push_back({prefix + item.key(), item.value()});
+  }
+  for (const auto& item : module.named_buffers(/*recurse=*/true))
+    result.push_back({prefix + item.key(), item.value()});
+  return result;
+}
+
 FlatParameters::FlatParameters(std::vector<NamedParameter> parameters) : parameters_(std::move(parameters)) {
   if (parameters_.empty()) {
     fail({"training", "at least one parameter to train", "none", "check the objective's options"});

@@ -17,6 +17,9 @@ struct NamedParameter {
 // Returns the parameters of a module that want a gradient, in registration order, named prefix + their name.
 std::vector<NamedParameter> named_parameters(const torch::nn::Module& module, const std::string& prefix = "");
 
+// Returns all else that a module's file holds, named likewise: the parameters that want none, and its buffers.
+std::vector<NamedParameter> named_untrained(const torch::nn::Module& module, const std::string& prefix = "");
+
 // The parameters of a training run laid out in one float32 buffer, and their gradients in another, so that
 // clipping, the optimiser and the moving average are one pass over memory. The module's own tensors become
 // views of these buffers. Every parameter starts at a multiple of 16 elements; the padding stays zero.

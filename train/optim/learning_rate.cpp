@@ -14,7 +14,7 @@ void LearningRateOptions::visit(FieldVisitor& visitor) {
   visitor.integer(
       {"decay_start_step", "step at which a linear or cosine course leaves the peak; 0 is the warm-up's end"},
       decay_start_step, {0, 1'000'000'000});
-  visitor.integer({"decay_end_step", "step at which final is reached; 0 is the last step of the run"},
+  visitor.integer({"decay_end_step", "step at which final is reached; 0 is the end of the run"},
                   decay_end_step, {0, 1'000'000'000});
 }
 

@@ -45,7 +45,7 @@ bool goes_on(const SplatCommandOptions& options, EarlierRun earlier) {
   check_run_folder(options.out, "splat fit", earlier);
   if (!options.resume) return false;
   const std::filesystem::path out = options.out;
-  refuse_other_options(options.out, options, {"checkpoint_every"});
+  refuse_other_options(options.out, options, SplatCommandOptions(), {"checkpoint_every"});
   // A run's checkpoint goes when its report is there.
   const bool has_checkpoint = std::filesystem::exists(out / kSplatCheckpointFile);
   if (!has_checkpoint && std::filesystem::exists(out / "report.json")) {

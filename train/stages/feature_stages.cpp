@@ -80,7 +80,7 @@ std::string train_backbone(const TrainBackboneOptions& options, const DrawValida
     return std::make_unique<BackboneObjective>(bundle.options(), options.objective, placement,
                                                options.loop.seed, trained);
   };
-  return run_training_stage(options, options, stage, draw);
+  return run_training_stage(options, options, TrainBackboneOptions(), stage, draw);
 }
 
 std::string train_decoder(const TrainDecoderOptions& options, const DrawValidation& draw) {
@@ -100,7 +100,7 @@ std::string train_decoder(const TrainDecoderOptions& options, const DrawValidati
     }
     return objective;
   };
-  return run_training_stage(options, options, stage, draw);
+  return run_training_stage(options, options, TrainDecoderOptions(), stage, draw);
 }
 
 namespace {
@@ -146,7 +146,7 @@ std::string train_depth(const TrainDepthOptions& options, const DrawValidation& 
     if (options.objective.start == ModelStart::kBundle) objective->start_from(bundle.load_depth_refinement());
     return objective;
   };
-  return run_training_stage(options, options, stage, draw);
+  return run_training_stage(options, options, TrainDepthOptions(), stage, draw);
 }
 
 std::string train_blending(const TrainBlendingOptions& options, const DrawValidation& draw) {
@@ -171,7 +171,7 @@ std::string train_blending(const TrainBlendingOptions& options, const DrawValida
     if (options.objective.start == ModelStart::kBundle) objective->start_from(bundle.load_blending());
     return objective;
   };
-  return run_training_stage(options, options, stage, draw);
+  return run_training_stage(options, options, TrainBlendingOptions(), stage, draw);
 }
 
 }  // namespace gld

@@ -224,7 +224,7 @@ std::string train_level(const TrainLevelOptions& options, const DrawValidation& 
     }
     return objective;
   };
-  return run_training_stage(options, options, stage, draw);
+  return run_training_stage(options, options, TrainLevelOptions(), stage, draw);
 }
 
 std::string train_cascade(const TrainCascadeOptions& options, const DrawValidation& draw) {
@@ -251,7 +251,7 @@ std::string train_cascade(const TrainCascadeOptions& options, const DrawValidati
     }
     return objective;
   };
-  return run_training_stage(options, options, stage, draw);
+  return run_training_stage(options, options, TrainCascadeOptions(), stage, draw);
 }
 
 StatsOptions::StatsOptions() { data.validation_scenes = 0; }
@@ -274,6 +274,7 @@ void StatsOptions::check() const {
           "add for example --model configs/tiny"});
   }
   check_out(out, "runs/stats");
+  check_input_survives("--model", model, out, overwrite);
 }
 
 std::string compute_statistics(const StatsOptions& options) {

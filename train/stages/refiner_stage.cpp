@@ -70,7 +70,7 @@ std::string train_refiner(const TrainRefinerOptions& options, const DrawValidati
     if (options.objective.start == ModelStart::kBundle) objective->start_from(bundle.load_refiner(placement));
     return objective;
   };
-  return run_training_stage(options, options, stage, draw);
+  return run_training_stage(options, options, TrainRefinerOptions(), stage, draw);
 }
 
 }  // namespace gld

@@ -47,7 +47,7 @@ std::string train_sample_refiner(const TrainSampleRefinerOptions& options, const
     if (options.objective.start == ModelStart::kBundle) objective->start_from(bundle.load_refiner(placement));
     return objective;
   };
-  return run_training_stage(options, options, stage, draw);
+  return run_training_stage(options, options, TrainSampleRefinerOptions(), stage, draw);
 }
 
 }  // namespace gld

@@ -52,15 +52,30 @@ void check_loop(const TrainingLoopOptions& loop) {
   }
 }
 
-// What is written is the moving average, which a short run hardly moves.
+// What is written is the moving average, which a short run hardly moves; and the rate has a course.
 std::vector<std::string> warnings_of_short_runs(const TrainingLoopOptions& loop) {
+  std::vector<std::string> warnings;
   const double decay = loop.optimiser.ema_decay;
-  if (!(decay > 0 && decay < 1) || static_cast<double>(loop.steps) * (1 - decay) >= 1) return {};
-  return {fmt::format(
-      "the model that is written is a moving average over about {:.0f} steps "
-      "(loop.optimiser.ema_decay {}), and this run has {}: it will hardly differ from what it begins "
-      "with; lower ema_decay, or train longer",
-      1 / (1 - decay), decay, loop.steps)};
+  if (decay > 0 && decay < 1 && static_cast<double>(loop.steps) * (1 - decay) < 1) {
+    warnings.push_back(fmt::format(
+        "the model that is written is a moving average over about {:.0f} steps "
+        "(loop.optimiser.ema_decay {}), and this run has {}: it will hardly differ from what it begins "
+        "with; lower ema_decay, or train longer",
+        1 / (1 - decay), decay, loop.steps));
+  }
+  const LearningRateOptions& rate = loop.learning_rate;
+  if (rate.warmup_steps >= loop.steps) {
+    warnings.push_back(fmt::format(
+        "the learning rate grows for {} steps (loop.learning_rate.warmup_steps), and this run has {}: it ends before "
+        "the peak; lower warmup_steps, or train longer",
+        rate.warmup_steps, loop.steps));
+  } else if (rate.schedule != LearningRateSchedule::kConstant && rate.decay_start_step >= loop.steps) {
+    warnings.push_back(fmt::format(
+        "the learning rate falls from step {} on (loop.learning_rate.decay_start_step), and this run has {}: it "
+        "never falls; lower decay_start_step, or train longer",
+        rate.decay_start_step, loop.steps));
+  }
+  return warnings;
 }
 
 // This checks the keys, as "foo" would silently allow nothing.
@@ -175,11 +190,12 @@ void StageOptions::check() const {
     fail({"--resume, --overwrite", "one of the two", "both",
           "--resume goes on with the run, --overwrite removes it"});
   }
+  check_input_survives("--model", model, out, overwrite);
   check_loop(loop);
 }
 
 void refuse_changed_options(const std::filesystem::path& folder, const OptionsGroup& now,
-                            const std::vector<std::string>& may_change) {
+                            const OptionsGroup& defaults, const std::vector<std::string>& may_change) {
   const std::set<std::string> free = {"model",
                                       "device",
                                       "store",
@@ -209,7 +225,7 @@ void refuse_changed_options(const std::filesystem::path& folder, const OptionsGr
   constexpr size_t kNamed = 3;
   size_t count = 0;
   std::string named, keys;
-  for (const auto& difference : differences_from(read_file(file), file.string(), now)) {
+  for (const auto& difference : differences_from(read_file(file), file.string(), now, &defaults)) {
     if (free.count(difference.key) > 0 || is_beside_the_result(difference.key) ||
         std::find(may_change.begin(), may_change.end(), difference.key) != may_change.end()) {
       continue;
@@ -246,7 +262,8 @@ void note_what_was_trained_on(const ModelBundle& bundle, const std::vector<Bundl
 }
 
 std::string run_training_stage(const StageOptions& options, const OptionsGroup& all_options,
-                               const TrainingStage& stage, const DrawValidation& draw) {
+                               const OptionsGroup& defaults, const TrainingStage& stage,
+                               const DrawValidation& draw) {
   const ProcessShare share = join_others(options.processes);
   const bool leads = share.leads();
   use_threads(share.threads(options.threads));
@@ -257,7 +274,7 @@ std::string run_training_stage(const StageOptions& options, const OptionsGroup& 
   if (leads) {
     if (!options.overwrite) check_training_start(options.out, start);
     check_run_folder(options.out, stage.command, earlier);
-    if (options.resume) refuse_changed_options(options.out, all_options, options.may_change);
+    if (options.resume) refuse_changed_options(options.out, all_options, defaults, options.may_change);
   }
   const auto bundle = ModelBundle::open(options.model);
   check_may_change(options, all_options, bundle.options());
@@ -283,8 +300,12 @@ std::string run_training_stage(const StageOptions& options, const OptionsGroup& 
   run.folder = options.out;
   run.export_dtype = stored_dtype(options.store);
   run.draw_validation = draw;
+  const BundleOptions model_defaults;
   run.model = &bundle.options();
+  run.model_defaults = &model_defaults;
   run.may_change = options.may_change;
+  run.trained_on = hashes_of_trained_on(bundle, stage.made);
+  run.allow_other_parts = options.allow_mixed;
   run.begins_trained = stage.start == ModelStart::kBundle;
   int64_t parameters = 0;
   for (const auto& item : objective->parameters()) parameters += item.parameter.numel();

@@ -86,13 +86,15 @@ TrainingStage scene_stage(const std::string& command, const TrainOptions& option
 // would go on as something that neither of them describes. What a run may go on with is left out: where it writes, how
 // it computes, how far and how often, the course of its learning rate (not its height), and how its first weights were
 // made; so is what may_change names.
+// What an earlier program did not have is as in defaults, the same options as constructed.
 void refuse_changed_options(const std::filesystem::path& folder, const OptionsGroup& now,
-                            const std::vector<std::string>& may_change);
+                            const OptionsGroup& defaults, const std::vector<std::string>& may_change);
 
 // Runs a stage: run folder with the resolved configuration (all_options), loop, model/, report.json. Returns the
 // closing box as text, an empty one where another process writes the run folder. draw may be empty.
 std::string run_training_stage(const StageOptions& options, const OptionsGroup& all_options,
-                               const TrainingStage& stage, const DrawValidation& draw);
+                               const OptionsGroup& defaults, const TrainingStage& stage,
+                               const DrawValidation& draw);
 
 // Writes into parts that a run made what they were trained on (models/bundle/part_lineage.h); the other parts are
 // there.

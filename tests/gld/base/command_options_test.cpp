@@ -52,5 +52,19 @@ TEST(CommandOptions, AFolderToWriteIntoIsAskedFor) {
             "--out: expected a folder to write into, found nothing; add for example --out runs/x.");
 }
 
+TEST(CommandOptions, WhatIsReadDoesNotLieWhereOverwritingRemoves) {
+  check_input_survives("--model", "runs/a/model", "runs/a", /*overwrite=*/false);
+  check_input_survives("--model", "runs/ab", "runs/a", /*overwrite=*/true);
+  check_input_survives("--model", "runs", "runs/a", /*overwrite=*/true);
+  EXPECT_EQ(
+      test::error_of([] { check_input_survives("--model", "runs/b/../a/model", "./runs/a/", true); }),
+      "--model: expected a folder outside ./runs/a/, where --overwrite removes what an earlier run wrote, found "
+      "runs/b/../a/model; write into another --out.");
+  EXPECT_EQ(
+      test::error_of([] { check_input_survives("--model", "runs/a", "runs/a", true); }),
+      "--model: expected a folder outside runs/a, where --overwrite removes what an earlier run wrote, found "
+      "runs/a; write into another --out.");
+}
+
 }  // namespace
 }  // namespace gld

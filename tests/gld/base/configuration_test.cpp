@@ -130,12 +130,28 @@ TEST(Configuration, SaysWhatDiffersFromAnEarlierText) {
 TEST(Configuration, ARunGoesOnWithItsOwnOptionsOnly) {
   const test::TemporaryFolder folder;
   OuterOptions options;
-  refuse_other_options(folder.path(), options);  // killed before its file was written
+  refuse_other_options(folder.path(), options, OuterOptions());  // killed before its file was written
   write_file_atomically(folder.path() / "config.yaml", to_yaml(options));
-  refuse_other_options(folder.path(), options);
+  refuse_other_options(folder.path(), options, OuterOptions());
   options.inner.weight = 0.125;
-  refuse_other_options(folder.path(), options, {"inner.weight"});
-  EXPECT_EQ(test::error_of([&] { refuse_other_options(folder.path(), options, {"title"}); }),
+  refuse_other_options(folder.path(), options, OuterOptions(), {"inner.weight"});
+  EXPECT_EQ(test::error_of([&] { refuse_other_options(folder.path(), options, OuterOptions(), {"title"}); }),
+            "--resume: expected the options of the run, which has inner.weight 0.5, found 0.125; "
+            "leave it as it was, or begin again with --overwrite.");
+}
+
+TEST(Configuration, WhatAnEarlierTextDoesNotHaveIsItsDefault) {
+  OuterOptions options;
+  options.inner.weight = 0.125;
+  EXPECT_TRUE(differences_from("{}", "config.yaml", options).empty());
+  const OuterOptions defaults;
+  const auto differences = differences_from("{}", "config.yaml", options, &defaults);
+  ASSERT_EQ(differences.size(), 1U);
+  EXPECT_EQ(difference_text(differences[0]), "inner.weight 0.125 (it was 0.5)");
+  const test::TemporaryFolder folder;
+  write_file_atomically(folder.path() / "config.yaml", "inner: {sizes: [1, 2]}\n");
+  refuse_other_options(folder.path(), defaults, defaults);
+  EXPECT_EQ(test::error_of([&] { refuse_other_options(folder.path(), options, defaults); }),
             "--resume: expected the options of the run, which has inner.weight 0.5, found 0.125; "
             "leave it as it was, or begin again with --overwrite.");
 }

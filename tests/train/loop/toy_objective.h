@@ -33,16 +33,19 @@ class ToyObjective : public Objective {
   bool concurrent() const override { return true; }
   int64_t learn_in(ComputePrecision /*precision*/) override { return 0; }
   std::vector<NamedParameter> parameters() const override { return {{"weight", weight_}}; }
+  std::vector<NamedParameter> untrained() const override { return {{"target", target_}}; }
   Losses losses(const TrainingBatch& batch, const StepContext& context) override {
     if (context.step == slow_step) {
       counter_.add_(100);  // what a step that is half done leaves behind
       std::this_thread::sleep_for(std::chrono::seconds(20));
     }
     torch::Tensor total = torch::zeros({});
+    // A finite 0 whose gradient is not: the root's slope at 0 times 0.
+    if (batch.index >= first_steep) total = total + (0 * weight_).abs().sqrt().sum();
     for (const TrainingScene& scene : batch.scenes) {
       const auto colour = scene.images.mean({0, 2, 3});
       const auto noise = torch::randn({3}, context.generator, torch::kFloat32);
-      const auto error = torch::mv(weight_, colour + 0.1 * noise) - torch::arange(6.0F);
+      const auto error = torch::mv(weight_, colour + 0.1 * noise) - target_;
       total = total + error.square().mean() * static_cast<double>(spoil(batch.index));
     }
     return {total, {{"error", total.detach()}}};
@@ -68,6 +71,11 @@ class ToyObjective : public Objective {
   // Batches [first, last) give a loss that is not a number.
   int64_t first_spoiled = 0;
   int64_t last_spoiled = 0;
+  // Batches from this one on have a gradient that is not a number.
+  int64_t first_steep = std::numeric_limits<int64_t>::max();
+  // What was drawn otherwise than in the run that a checkpoint is of.
+  void draw_other_target() { target_.fill_(-1); }
+
   int64_t slow_step = -1;  // takes 20 s a micro-batch
 
  private:
@@ -75,6 +83,7 @@ class ToyObjective : public Objective {
     return index >= first_spoiled && index < last_spoiled ? std::numeric_limits<float>::quiet_NaN() : 1.0F;
   }
   torch::Tensor weight_;
+  torch::Tensor target_ = torch::arange(6.0F);
   torch::Tensor counter_;
 };
 

@@ -154,12 +154,62 @@ TEST(TrainingLoop, StopsAfterTooManyStepsThatAreNotFinite) {
   EXPECT_EQ(test::error_of([&] { train(run, short_run(), TrainingStart::kFresh); }),
             "training step 8: expected finite losses and gradients, "
             "found a loss of nan (3 skipped steps in a row); look at the batch in " +
-                (folder.path() / "non_finite" / "batch.safetensors").string() +
+                (folder.path() / "non_finite" / "batch_16.safetensors").string() +
                 ", or lower the learning rate with --resume --may-change loop.learning_rate.peak.");
-  const auto batch = WeightFile::open(folder.path() / "non_finite" / "batch.safetensors");
+  const auto batch = WeightFile::open(folder.path() / "non_finite" / "batch_16.safetensors");
   EXPECT_NE(batch->find("scene0.images"), nullptr);
   EXPECT_NE(batch->find("scene0.world_from_camera"), nullptr);
   EXPECT_EQ(batch->metadata().at("batch_index"), "16");
+}
+
+TEST(TrainingLoop, KeepsEveryBatchOfAStepWhoseGradientIsNotFinite) {
+  const test::TemporaryFolder folder;
+  test::ToyObjective objective;
+  objective.first_steep = 12;
+  const auto run = test::toy_run(folder.path(), objective);
+  EXPECT_EQ(test::error_of([&] { train(run, short_run(), TrainingStart::kFresh); }),
+            "training step 8: expected finite losses and gradients, "
+            "found a gradient norm of nan (3 skipped steps in a row); look at the step's 2 batches in " +
+                (folder.path() / "non_finite").string() +
+                ", or lower the learning rate with --resume --may-change loop.learning_rate.peak.");
+  for (const char* name : {"batch_16.safetensors", "batch_17.safetensors"})
+    EXPECT_NE(WeightFile::open(folder.path() / "non_finite" / name)->find("scene0.images"), nullptr) << name;
+}
+
+TEST(TrainingLoop, GoesOnWithTheUntrainedTensorsThatWereLearntWith) {
+  const test::TemporaryFolder whole, stopped;
+  test::ToyObjective once, begun, resumed;
+  train(test::toy_run(whole.path(), once), short_run(), TrainingStart::kFresh);
+  auto half = short_run();
+  half.steps = 10;
+  half.learning_rate.decay_end_step = short_run().steps;
+  auto other_half = short_run();
+  other_half.learning_rate.decay_end_step = other_half.steps;
+  train(test::toy_run(stopped.path(), begun), half, TrainingStart::kFresh);
+  resumed.draw_other_target();
+  train(test::toy_run(stopped.path(), resumed), other_half, TrainingStart::kResume);
+  EXPECT_TRUE(torch::equal(tensors_of_newest(whole.path()).at("model.weight"),
+                           tensors_of_newest(stopped.path()).at("model.weight")));
+}
+
+TEST(TrainingLoop, GoesOnBesideTheSamePartsAlone) {
+  const test::TemporaryFolder folder;
+  test::ToyObjective begun, resumed;
+  auto run = test::toy_run(folder.path(), begun);
+  run.trained_on = {{"backbone", "12"}, {"statistics_level1", "34"}};
+  auto half = short_run();
+  half.steps = 10;
+  train(run, half, TrainingStart::kFresh);
+  run.objective = &resumed;
+  run.trained_on["statistics_level1"] = "56";
+  EXPECT_EQ(
+      test::error_of([&] { train(run, short_run(), TrainingStart::kResume); }),
+      "--resume: expected the statistics_level1 that " +
+          (folder.path() / "checkpoints" / "step_000000010.safetensors").string() +
+          " was trained on, found another statistics_level1 in --model; give the model that the run was begun "
+          "with, or go on beside another one with --allow-mixed.");
+  run.allow_other_parts = true;
+  EXPECT_EQ(train(run, short_run(), TrainingStart::kResume).steps_done, 24);
 }
 
 TEST(TrainingLoop, RefusesToResumeFromNothingAndToStartOverARun) {

@@ -18,7 +18,7 @@ using test::wall_scene;
 TEST(GeometryTargets, RaysTimesDepthAreThePointsInTheFirstCamera) {
   const DatasetBatches data(test::small_data(), {{56, 56}}, FrameParts::kImageAndDepth);
   const TrainingScene scene = data.batch(3).scenes.front();
-  const GeometryTargets targets = geometry_targets(scene, {14, 14});
+  const GeometryTargets targets = *geometry_targets(scene, {14, 14});
   EXPECT_TRUE(torch::equal(targets.rays[0].narrow(2, 3, 3), torch::zeros({14, 14, 3})));
   // Cell (2, 5) covers rows 8 to 11 and columns 20 to 23; its middle is the corner of pixel (10, 22).
   const Camera& camera = scene.views.cameras[1];
@@ -37,7 +37,7 @@ TEST(GeometryTargets, RaysTimesDepthAreThePointsInTheFirstCamera) {
 TEST(GeometryTargets, CamerasAreThoseOfTheRays) {
   const DatasetBatches data(test::small_data(), {{56, 56}}, FrameParts::kImageAndDepth);
   const TrainingScene scene = data.batch(3).scenes.front();
-  const GeometryTargets targets = geometry_targets(scene, {14, 14});
+  const GeometryTargets targets = *geometry_targets(scene, {14, 14});
   ASSERT_EQ(targets.cameras.sizes(), torch::IntArrayRef({3, 9}));
   for (int64_t view = 0; view < 3; ++view) {
     PoseEncoding encoding{};
@@ -105,7 +105,7 @@ TEST(GeometryLoss, TheRelativeErrorIsAddedWithItsWeight) {
 }
 
 TEST(GeometryLoss, OriginsAreMeasuredInBaselines) {
-  const GeometryTargets targets = geometry_targets(wall_scene(), {8, 8});
+  const GeometryTargets targets = *geometry_targets(wall_scene(), {8, 8});
   GeometryOutput predicted;
   predicted.depth = targets.depth;
   predicted.depth_confidence = torch::ones_like(targets.depth);
@@ -135,7 +135,7 @@ TEST(GeometryLoss, OriginsAreMeasuredInBaselines) {
 }
 
 TEST(GeometryLoss, RayErrorsAreThoseOfTheCameras) {
-  const GeometryTargets targets = geometry_targets(wall_scene(), {8, 8});
+  const GeometryTargets targets = *geometry_targets(wall_scene(), {8, 8});
   const auto exact = ray_errors(targets.rays, targets);
   EXPECT_NEAR(exact.direction_degrees, 0, 1e-4);
   EXPECT_NEAR(exact.rotation_degrees, 0, 1e-4);
@@ -159,7 +159,7 @@ TEST(GeometryLoss, RayErrorsAreThoseOfTheCameras) {
 
 TEST(GeometryLoss, TokensReadDepthAndTheRayThroughTheirMiddle) {
   const TrainingScene scene = wall_scene();
-  const GeometryTargets fine = geometry_targets(scene, {16, 16}), coarse = geometry_targets(scene, {4, 4});
+  const GeometryTargets fine = *geometry_targets(scene, {16, 16}), coarse = *geometry_targets(scene, {4, 4});
   // Both grids find the scene's size by points of their own.
   const auto rays =
       torch::cat({coarse.rays.narrow(3, 0, 3), coarse.rays.narrow(3, 3, 3) * (coarse.scale / fine.scale)}, 3);
@@ -184,7 +184,7 @@ TEST(GeometryLoss, TokensReadDepthAndTheRayThroughTheirMiddle) {
 
 // A head that predicts points apart from depth learns them from where depth and rays are.
 TEST(GeometryLoss, PredictedPointsAreComparedWithTheTrueOnes) {
-  const GeometryTargets targets = geometry_targets(wall_scene(), {56, 56});
+  const GeometryTargets targets = *geometry_targets(wall_scene(), {56, 56});
   GeometryOutput predicted;
   predicted.depth = targets.depth;
   predicted.depth_confidence = torch::ones_like(targets.depth);

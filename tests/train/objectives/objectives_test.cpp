@@ -92,6 +92,28 @@ TEST(BackboneTraining, NeedsDepth) {
       "those of gld synth.");
 }
 
+TEST(BackboneTraining, ASceneWithoutKnownDepthTeachesNoGeometry) {
+  BackboneObjectiveOptions options;
+  options.pixel_weights = {};
+  options.geometry_weights = {0, 1};
+  BackboneObjective objective(test::small_model(), options, {}, 1);
+  const FlatParameters parameters(objective.parameters());
+  const DatasetBatches data(test::small_data(), {{56, 56}}, FrameParts::kImageAndDepth);
+  TrainingBatch batch = data.batch(0);
+  for (TrainingScene& scene : batch.scenes) scene.depth.zero_();
+  auto generator = at::detail::createCPUGenerator(2);
+  const Losses losses = objective.losses(batch, {0, 1, generator});
+  losses.total.backward();
+  EXPECT_EQ(losses.total.item<double>(), 0);
+  EXPECT_TRUE(losses.parts.empty());
+  EXPECT_EQ(parameters.gradients().abs().max().item<double>(), 0);
+  const torch::NoGradGuard no_grad;
+  EXPECT_EQ(test::error_of([&] { objective.validate(batch.scenes); }),
+            "validation of a backbone: expected a scene with pixels of known depth, found none among " +
+                std::to_string(batch.scenes.size()) +
+                "; give others with --validation-folder, or none with --validation-scenes 0.");
+}
+
 TEST(BackboneTraining, LearnsFromTokensAndCorrespondenceWithoutTheHead) {
   BackboneObjectiveOptions options;
   options.head_probability = 0;
@@ -126,6 +148,11 @@ TEST(BackboneTraining, LearnsFromTokensAndCorrespondenceWithoutTheHead) {
                            "level1_rotation_degrees", "level3_origin_error", "correspondence"}) {
     EXPECT_TRUE(std::isfinite(validation.at(name))) << name;
   }
+  options.correspondence_blocks = {};
+  EXPECT_EQ(
+      test::error_of([&] { BackboneObjective(test::small_model(), options, {}, 1); }),
+      "objective.correspondence_weight: expected 0 without correspondence_blocks, whose attention it would "
+      "teach, found 0.1; name blocks, or leave it out.");
   options.correspondence_blocks = {4};
   EXPECT_EQ(
       test::error_of([&] { BackboneObjective(test::small_model(), options, {}, 1); }),

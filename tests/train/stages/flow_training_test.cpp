@@ -418,6 +418,35 @@ TEST_F(TrainedChain, FineTuningStartsFromTheBundle) {
   EXPECT_THROW(train_level(options, {}), Error);
 }
 
+// Whose time embedding has frequencies that no step moves: random numbers of the run that its weights are of.
+TEST_F(TrainedChain, GoesOnWithTheFrequenciesThatItBeganWith) {
+  auto options = test::training_options<TrainLevelOptions>(path("level/model"), path("stopped"));
+  options.objective.start = ModelStart::kBundle;
+  options.loop.seed = 99;
+  train_level(options, {});
+  options.objective.start = ModelStart::kRandom;
+  options.resume = true;
+  ++options.loop.steps;
+  train_level(options, {});
+  const auto frequencies = [&](const char* model) {
+    return ModelBundle::open(path(model)).load_generator(level_model(1))->named_parameters()["t_embedder.W"];
+  };
+  EXPECT_TRUE(torch::equal(frequencies("stopped/model"), frequencies("level/model")));
+  // Nor does it go on on other latents than it has learnt.
+  std::filesystem::copy(path("level/model"), path("other"));
+  const auto other = ModelBundle::open(path("other"));
+  note_in_metadata(other, BundlePart::backbone(), {{"name", "another"}});
+  options.model = path("other").string();
+  options.allow_mixed = true;
+  ++options.loop.steps;
+  train_level(options, {});
+  options.allow_mixed = false;
+  options.model = path("level/model").string();
+  ++options.loop.steps;
+  EXPECT_THAT(test::error_of([&] { train_level(options, {}); }),
+              testing::StartsWith("--resume: expected the backbone that "));
+}
+
 TEST_F(TrainedChain, CorrespondenceIsTaughtBesideTheFlow) {
   auto options = test::training_options<TrainLevelOptions>(path("stats/model"), path("taught"));
   options.objective.correspondence_weight = 0.1;
@@ -429,6 +458,11 @@ TEST_F(TrainedChain, CorrespondenceIsTaughtBesideTheFlow) {
   for (const auto& point : log.series("correspondence")) EXPECT_GT(point.second, 0.0);
   EXPECT_EQ(log.series("correspondence").size(), 2U);
   options.out = path("refused").string();
+  options.objective.correspondence_blocks = {};
+  EXPECT_EQ(
+      test::error_of([&] { train_level(options, {}); }),
+      "objective.correspondence_weight: expected 0 without correspondence_blocks, whose attention it would "
+      "teach, found 0.1; name blocks, or leave it out.");
   options.objective.correspondence_blocks = {3};
   EXPECT_EQ(test::error_of([&] { train_level(options, {}); }),
             "objective.correspondence_blocks: expected blocks from 0 to 2, found 3; choose others.");
