@@ -1,5 +1,6 @@
 #include "ablate/page/ablation_page.h"
 
+#include "ablate/statistics/verdict.h"
 #include "gld/page/results.h"
 #include "gld/page/run_report.h"
 #include "gld/report/table.h"
@@ -89,10 +90,12 @@ ResultTable claims_table(const Json& report) {
         better.empty() ? report_text_at(claim, "/name") : label(better) + " over " + label(worse);
     const std::string first = report_text_at(claim, "/beyond/0"), second = report_text_at(claim, "/beyond/1");
     if (!first.empty()) text += ", by more than " + label(first) + " over " + label(second);
+    const Json scenes = report_value(claim, "/scenes");
+    const bool tells_p = scenes.is_number() && scenes.get<int64_t>() >= kFewestTellingScenes;
     table.rows.push_back(
         {text, report_text_at(claim, "/metric"), with_interval(claim, "/better_by"),
          report_number_at(claim, "/scenes_won") + " : " + report_number_at(claim, "/scenes_lost"),
-         number_text(report_value(claim, "/holm_p")), report_text_at(claim, "/paper"),
+         tells_p ? number_text(report_value(claim, "/holm_p")) : "-", report_text_at(claim, "/paper"),
          report_text_at(claim, "/verdict") + (reason.empty() ? "" : " (" + reason + ")")});
   }
   return table;

@@ -69,6 +69,19 @@ void StageCache::finish(const StageTask& task, const StageCost& cost) const {
   write_file_atomically(folder(task) / "done.json", json_text(json, 2) + "\n");
 }
 
+std::vector<bool> needed_tasks(const AblationPlan& plan, const StageCache& cache) {
+  std::vector<bool> needed(plan.tasks.size(), false);
+  for (const VariantRun& run : plan.runs) {
+    for (const size_t result : run.results) needed[result] = true;
+  }
+  // Each task is behind those that it needs.
+  for (size_t number = plan.tasks.size(); number-- > 0;) {
+    if (!needed[number] || cache.state(plan.tasks[number]) == StageState::kDone) continue;
+    for (const size_t before : plan.tasks[number].needs) needed[before] = true;
+  }
+  return needed;
+}
+
 ExpectedCost expected_cost(const AblationPlan& plan, size_t task, const StageCache& cache) {
   if (const auto own = cache.cost(plan.tasks[task])) return {CostSource::kMeasured, *own, 1};
   ExpectedCost expected;
@@ -93,8 +106,10 @@ ExpectedCost expected_cost(const AblationPlan& plan, size_t task, const StageCac
 std::string plan_text(const AblationPlan& plan, const StageCache& cache, int64_t jobs) {
   std::vector<std::pair<std::string, StageLine>> lines;
   StageLine all;
+  const std::vector<bool> needed = needed_tasks(plan, cache);
   for (size_t number = 0; number < plan.tasks.size(); ++number) {
     const StageTask& task = plan.tasks[number];
+    if (!needed[number] && cache.state(task) != StageState::kDone) continue;
     const std::string name = task.stage == task.command ? task.stage : task.stage + " (" + task.command + ")";
     auto line =
         std::find_if(lines.begin(), lines.end(), [&](const auto& entry) { return entry.first == name; });

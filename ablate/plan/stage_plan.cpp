@@ -9,6 +9,7 @@
 
 #include <algorithm>
 #include <map>
+#include <set>
 #include <utility>
 
 #include <fmt/format.h>
@@ -97,6 +98,11 @@ class Planner {
         const std::string user = variant.name + ", seed " + std::to_string(seed);
         if (users.empty() || users.back() != user) users.push_back(user);
       }
+      const std::set<size_t> different(repeats.begin(), repeats.end());
+      if (different.size() < repeats.size()) {
+        fail({where(run, stage) + ", key 'repeat'", "options with ${number}, by which the runs differ",
+              "the same ones each time", "write it into one of them, or leave repeat out"});
+      }
       run.tasks[stage.name] = repeats.front();
       run.repeats[stage.name] = repeats;
       if (makes_bundle(stage.command)) run.last_bundle = stage.name;
@@ -126,6 +132,7 @@ class Planner {
       return;
     }
     task.base_model = run.variant.model.empty() ? ablation_.options.model : run.variant.model;
+    task.base_hash = base(task.base_model).hash;
   }
 
   struct Base {
@@ -175,7 +182,7 @@ class Planner {
       plan_assembly(run, stage, task);
       without_seed = task.options;
     } else {
-      without_seed = plan_command(run, stage, task);
+      without_seed = plan_command(run, stage, number, task);
       for (std::string* options : {&task.options, &without_seed})
         *options = replaced(*options, "${number}", fmt::format("{:06d}", number));
     }
@@ -212,7 +219,7 @@ class Planner {
   }
 
   // Returns task.options as they are for every seed.
-  std::string plan_command(const Run& run, const StageDescription& stage, StageTask& task) {
+  std::string plan_command(const Run& run, const StageDescription& stage, int64_t number, StageTask& task) {
     const auto options = commands_.options(stage.command);
     if (!options) {
       const auto near = nearest_name(stage.command, commands_.names);
@@ -239,7 +246,8 @@ class Planner {
     }
     set(*options, "out", "run", run, stage);
     if (has_field(*options, "device")) set(*options, "device", ablation_.options.device, run, stage);
-    task.resumable = has_field(*options, "resume");
+    // One that was interrupted would be timed without what it had done.
+    task.resumable = has_field(*options, "resume") && !stage.alone;
     if (!stage.resume.empty()) {
       if (!trains(stage.command)) {
         fail({where(run, stage) + ", key 'resume'", "a stage that trains", "'" + stage.command + "'",
@@ -255,8 +263,16 @@ class Planner {
     task.options = to_yaml_without(*options, beside);
     for (const auto& [name, earlier] : run.tasks) {
       if (task.options.find("${" + name + "}") == std::string::npos) continue;
-      task.named.emplace_back(name, earlier);
-      task.needs.push_back(earlier);
+      const std::vector<size_t>& repeats = run.repeats.at(name);
+      if (repeats.size() > 1 && stage.repeat != ablation_.stage(name).repeat) {
+        fail({where(run, stage) + ", key 'options'",
+              fmt::format("${{{}}} of as many runs as this stage has", name),
+              fmt::format("{} and {}", ablation_.stage(name).repeat, stage.repeat),
+              "give both the same repeat"});
+      }
+      const size_t one = repeats.size() > 1 ? repeats[static_cast<size_t>(number)] : earlier;
+      task.named.emplace_back(name, one);
+      task.needs.push_back(one);
     }
     if (makes_bundle(stage.command)) task.bundle = std::make_shared<BundleOptions>(bundle_of(task));
     if (seeded) set(*options, seed, std::to_string(first_seed), run, stage);
@@ -265,12 +281,16 @@ class Planner {
 
   // What the ablation gives each stage itself.
   static void refuse_own(const OptionSetting& setting) {
-    for (const char* own : {"out", "overwrite", "resume", "model", "kept_scenes"}) {
-      if (setting.key != own) continue;
+    const std::string group = setting.key.substr(0, setting.key.find('.'));
+    for (const char* own : {"out", "overwrite", "resume", "model", "kept_scenes", "threads", "processes",
+                            "json", "preview", "device"}) {
+      if (group != own) continue;
       fail({setting.where + ", key '" + setting.key + "'", "an option that changes a result",
             "one that the ablation sets itself",
             setting.key == "model" ? "write 'model' beside 'options', for the stage or the variant"
-                                   : "remove it"});
+            : setting.key == "threads" || setting.key == "device"
+                ? "say it to gld ablate, or in the description's first lines"
+                : "remove it"});
     }
   }
 
@@ -319,6 +339,8 @@ class Planner {
     for (const auto& [stage, number] : task.named) {
       options = replaced(options, fmt::format("${{{}}}", stage), "stage " + named(number));
     }
+    if (task.alone && task.takes_threads)
+      text += fmt::format("threads: {}\n", threads_to_use(ablation_.options.threads));
     return text + options;
   }
 

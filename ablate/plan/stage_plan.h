@@ -31,6 +31,7 @@ struct StageTask {
   bool takes_threads = false;
   bool takes_kept_scenes = false;                     // a training on scenes (train/data/kept_folder.h)
   std::filesystem::path base_model;                   // the bundle it takes where no stage makes one
+  std::string base_hash;                              // of that bundle's content, when this was planned
   std::optional<size_t> model;                        // the task that makes the bundle it takes
   std::vector<size_t> parts;                          // assemble: tasks whose trained parts are taken
   std::optional<size_t> resumed;                      // the task whose run it goes on with
@@ -54,7 +55,7 @@ struct AblationPlan {
 
 // Returns what an ablation has to run. Keys are known before anything runs: a stage's is the hash of the program's
 // version, the command, its options after all settings, its seed among them, and the keys of the stages before it or
-// the content of the bundle. Files and folders that options name count by their name, not by their content. Throws
+// the content of the bundle; of one that runs alone, for its seconds, the number of threads too. Files and folders that options name count by their name, not by their content. Throws
 // Error where an option does not exist or has a wrong value, a bundle cannot be opened or a folder of scenes is
 // missing.
 AblationPlan plan_ablation(const Ablation& ablation, const ProgramCommands& commands);

@@ -57,11 +57,7 @@ std::string label_of(const Ablation& ablation, const std::string& variant) {
   return found == nullptr ? variant : found->label;
 }
 
-// Of so few scenes the bootstrap draws the same ones again and again: its p-value says nothing.
-std::string p_text(double p, int64_t scenes) {
-  constexpr int64_t kFewest = 8;
-  return scenes < kFewest ? "-" : short_number(p);
-}
+std::string p_text(double p, int64_t scenes) { return scenes < kFewestTellingScenes ? "-" : short_number(p); }
 
 // Names metrics whose means are not of the same scenes in every variant, a sentence each: such means must not be
 // compared, claims are of the scenes that both have.

@@ -5,6 +5,7 @@
 #include "ablate/plan/stage_plan.h"
 #include "ablate/report/ablation_report.h"
 #include "ablate/report/other_runs.h"
+#include "ablate/run/stage_lock.h"
 #include "ablate/run/stage_runner.h"
 #include "gld/base/atomic_file.h"
 #include "gld/base/error.h"
@@ -17,8 +18,10 @@
 
 #include <algorithm>
 #include <iostream>
+#include <memory>
 #include <set>
 #include <utility>
+#include <vector>
 
 #include <fmt/format.h>
 
@@ -27,17 +30,27 @@ namespace {
 
 namespace fs = std::filesystem;
 
-// Removes of an earlier ablation whatever its commands wrote: folders named by keys, and nothing else.
+// Removes of an earlier ablation whatever its commands wrote: folders named by keys, and nothing else. Another ablation
+// may work there too, with --cache.
 void remove_stages(const fs::path& cache) {
   if (!fs::is_directory(cache)) return;
+  std::vector<fs::path> stages;
+  std::vector<std::unique_ptr<StageLock>> locks;
   for (const auto& entry : fs::directory_iterator(cache)) {
-    if (is_stage_key(entry.path().filename().string())) fs::remove_all(entry.path());
+    if (!is_stage_key(entry.path().filename().string())) continue;
+    locks.push_back(std::make_unique<StageLock>(entry.path()));
+    if (!locks.back()->take()) {
+      fail({entry.path().string(), "a stage that nobody works at, to begin anew without it",
+            "another ablation at work", "wait until it ends, or choose another --out"});
+    }
+    stages.push_back(entry.path());
   }
+  for (const fs::path& stage : stages) fs::remove_all(stage);
 }
 
 // Whole results that are there are of the same question: others would be lost. What was stopped, or failed in part, may
 // be asked otherwise.
-void check_same_question(const Ablation& ablation, const fs::path& folder) {
+void check_same_question(const Ablation& ablation, const AblationPlan& plan, const fs::path& folder) {
   const fs::path file = folder / "report.json";
   if (!fs::exists(file) || !fs::exists(folder / "ablation.yaml")) return;
   const nlohmann::json report = parse_json(read_file(file), file.string());
@@ -54,7 +67,14 @@ void check_same_question(const Ablation& ablation, const fs::path& folder) {
   }
   if (read_file(folder / "ablation.yaml") != ablation.text)
     others = "another description" + (others.empty() ? "" : ", " + others);
-  if (others.empty()) return;
+  if (others.empty()) {
+    std::set<std::string> before, now;
+    for (const auto& stage : report.value("stages", nlohmann::json::array()))
+      before.insert(stage.value("question", ""));
+    for (const StageTask& task : plan.tasks) now.insert(task.question);
+    if (before.count("") > 0 || before == now) return;  // of a program that did not note them
+    others = "other weights in the model's folder, or another file of a stage's config";
+  }
   if (stages.empty() || stages == "\"\"") stages = (folder / "cache").string();
   fail(
       {folder.string(), "the question whose results are there", others,
@@ -78,7 +98,7 @@ AblationOutcome run_ablation(const Ablation& ablation, const ProgramCommands& co
   const StageCache cache(options.cache.empty() ? own_cache : fs::path(options.cache));
   if (options.plan) return {plan_text(plan, cache, options.jobs_to_use()), true};
 
-  if (!options.overwrite) check_same_question(ablation, options.out);
+  if (!options.overwrite) check_same_question(ablation, plan, options.out);
   RunFolder folder(options.out, "ablate", options,
                    options.overwrite ? EarlierRun::kOverwrite : EarlierRun::kContinue);
   if (options.overwrite) remove_stages(own_cache);
@@ -115,8 +135,9 @@ AblationOutcome run_ablation(const Ablation& ablation, const ProgramCommands& co
   write_file_atomically(folder.path() / kPageFile, page_html(ablation_page(folder.path())));
   folder.note("page", kPageFile);
 
-  const bool complete =
-      std::all_of(outcomes.begin(), outcomes.end(), [](const TaskOutcome& outcome) { return outcome.done; });
+  const bool complete = std::all_of(outcomes.begin(), outcomes.end(), [](const TaskOutcome& outcome) {
+    return outcome.done || !outcome.needed;
+  });
   if (options.json) return {json_text(report, 2) + "\n", complete};
   return {markdown + "\n" + folder.closing_box(), complete};
 }

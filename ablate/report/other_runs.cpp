@@ -70,16 +70,23 @@ void check_questions(const Json& report, const fs::path& folder, const AblationP
 }
 
 void check_numbers_read(const Json& report, const fs::path& folder, const Json& here) {
-  if (!report.contains("reads")) {
+  const Json& reads = report.value("reads", Json::object());
+  const auto noted = [](const Json& entry) { return entry.contains("question"); };
+  if (reads.empty() || !std::all_of(reads.begin(), reads.end(), noted)) {
     fail(
         {(folder / "report.json").string(), "which numbers it compares",
          "the report of a program that did not note them",
          "run it again with --overwrite: stages that are done in its cache are taken where the program is the same"});
   }
   for (const auto& [variant, entry] : here.items()) {
-    const Json there = report.at("reads").value(variant, Json::object());
+    const Json there = reads.value(variant, Json::object());
     for (const auto& [key, value] : entry.items()) {
       if (there.value(key, Json()) == value) continue;
+      if (key == "question") {
+        fail({kWhere, fmt::format("variant '{}' as it is here in everything but its seed", variant),
+              fmt::format("another one of that name in '{}'", folder.string()),
+              "give it the same description, model, --overrides and --smoke, or leave the folder out"});
+      }
       fail({kWhere, fmt::format("the same numbers, of variant '{}' {}: {}", variant, key, value.dump()),
             fmt::format("{} in '{}'", there.value(key, Json()).dump(), folder.string()),
             "give it the same description, or leave the folder out"});
@@ -144,8 +151,12 @@ nlohmann::ordered_json numbers_read(const Ablation& ablation, const AblationPlan
   for (const VariantRun& run : plan.runs) {
     const VariantDescription& variant = ablation.variants[run.variant];
     const std::string& stage = plan.tasks[run.results.front()].stage;
-    nlohmann::ordered_json entry{
-        {"stage", stage}, {"file", ablation.stage(stage).results}, {"rows", variant.rows}};
+    std::vector<std::string> questions;
+    for (const size_t result : run.results) questions.push_back(plan.tasks[result].question);
+    nlohmann::ordered_json entry{{"stage", stage},
+                                 {"question", fmt::format("{}", fmt::join(questions, " "))},
+                                 {"file", ablation.stage(stage).results},
+                                 {"rows", variant.rows}};
     for (const MetricDescription& metric : ablation.metrics)
       entry["metric " + metric.name] = {{"column", column_of(variant, metric)}, {"better", metric.better}};
     reads[variant.name] = std::move(entry);

@@ -2,6 +2,7 @@
 
 #include "ablate/configuration/ablation.h"
 #include "ablate/run/assembled_bundle.h"
+#include "ablate/run/stage_lock.h"
 #include "gld/base/atomic_file.h"
 #include "gld/base/atomic_folder.h"
 #include "gld/base/child_process.h"
@@ -9,19 +10,18 @@
 #include "gld/base/interrupt.h"
 #include "gld/base/printable_text.h"
 #include "gld/report/progress.h"
+#include "models/bundle/bundle.h"
 
 #include <algorithm>
 #include <chrono>
 #include <cmath>
 #include <fstream>
 #include <memory>
+#include <set>
 #include <sstream>
 #include <thread>
 
-#include <fcntl.h>
 #include <fmt/format.h>
-#include <sys/file.h>
-#include <unistd.h>
 
 namespace gld {
 namespace {
@@ -29,23 +29,6 @@ namespace {
 namespace fs = std::filesystem;
 
 constexpr std::chrono::seconds kBetweenLooks(1);
-
-// This lock says that no other ablation works at the stage: it is held by this process and by the stage's own.
-class StageLock {
- public:
-  explicit StageLock(const fs::path& folder)
-      : file_(::open((folder / "lock").c_str(), O_RDWR | O_CREAT | O_CLOEXEC, 0666)) {}
-  ~StageLock() {
-    if (file_ >= 0) ::close(file_);
-  }
-  StageLock(const StageLock&) = delete;
-  StageLock& operator=(const StageLock&) = delete;
-  bool take() const { return file_ >= 0 && ::flock(file_, LOCK_EX | LOCK_NB) == 0; }
-  int file() const { return file_; }
-
- private:
-  int file_;
-};
 
 bool has_training_checkpoint(const fs::path& run) {
   std::error_code error;
@@ -139,12 +122,15 @@ class Scheduler {
       : plan_(plan), cache_(cache), options_(options), outcomes_(plan.tasks.size()) {}
 
   std::vector<TaskOutcome> run() {
+    const std::vector<bool> needed = needed_tasks(plan_, cache_);
     for (size_t number = 0; number < plan_.tasks.size(); ++number) {
       if (cache_.state(plan_.tasks[number]) == StageState::kDone) {
         outcomes_[number].done = true;
         check_done(number);
-      } else {
+      } else if (needed[number]) {
         waiting_.push_back(number);
+      } else {
+        outcomes_[number].needed = false;
       }
     }
     if (waiting_.empty()) return outcomes_;
@@ -199,6 +185,11 @@ class Scheduler {
   std::string note() const {
     std::string text =
         fmt::format("{} of {} stages ended, {} waiting", ended(), outcomes_.size(), waiting_.size());
+    if (!taken_.empty()) {
+      const StageTask& stage = plan_.tasks[*taken_.begin()];
+      text += fmt::format(", {} of them for another ablation that works at {} {}", taken_.size(), stage.stage,
+                          stage.key.substr(0, 6));
+    }
     for (const RunningTask& task : running_) {
       const StageTask& stage = plan_.tasks[task.number];
       const std::string line = last_line(cache_.folder(stage) / "log.txt");
@@ -299,19 +290,29 @@ class Scheduler {
   // Returns false where another ablation works at the stage.
   bool begin(size_t number) {
     const StageTask& task = plan_.tasks[number];
-    fs::create_directories(cache_.folder(task));
     RunningTask running;
     running.number = number;
-    running.lock = std::make_unique<StageLock>(cache_.folder(task));
-    if (!running.lock->take()) return false;
+    try {
+      fs::create_directories(cache_.folder(task));
+      running.lock = std::make_unique<StageLock>(cache_.folder(task));
+      if (!running.lock->take()) {
+        taken_.insert(number);
+        return false;
+      }
+    } catch (const Error& error) {
+      outcomes_[number].problem = problem_text(task, error);
+      return true;
+    }
+    taken_.erase(number);
     if (cache_.state(task) == StageState::kDone) {  // by the other one, meanwhile
       outcomes_[number].done = true;
       check_done(number);
       return true;
     }
-    remove_abandoned_files(cache_.folder(task));
-    cache_.begin(task);
     try {
+      require_same_base(task);
+      remove_abandoned_files(cache_.folder(task));
+      cache_.begin(task);
       if (task.command == kAssembleCommand) {
         assemble(task);
         outcomes_[number].done = true;
@@ -323,16 +324,28 @@ class Scheduler {
       running.process = std::make_unique<ChildProcess>(command_line_of(task, plan_, cache_, options_, resume),
                                                        cache_.folder(task) / "log.txt", running.lock->file());
     } catch (const Error& error) {
-      outcomes_[number].problem =
-          "stage '" + task.stage + "' (" + task.used_by.front() + "): " + error.what();
+      outcomes_[number].problem = problem_text(task, error);
       return true;
     }
     running_.push_back(std::move(running));
     return true;
   }
 
+  static std::string problem_text(const StageTask& task, const Error& error) {
+    return "stage '" + task.stage + "' (" + task.used_by.front() + "): " + error.what();
+  }
+
+  // A result of other weights would be kept under the key of those that the ablation was planned with.
+  static void require_same_base(const StageTask& task) {
+    if (!task.takes_model || task.model) return;
+    if (ModelBundle::open(task.base_model).content_hash() == task.base_hash) return;
+    fail({task.base_model.string(), "the files that the ablation began with", "others",
+          "put them back, or run the command again"});
+  }
+
   void assemble(const StageTask& task) const {
     const auto start = std::chrono::steady_clock::now();
+    fs::remove_all(cache_.run(task));  // what an end in the midst of it left
     std::vector<fs::path> others;
     for (const size_t part : task.parts) others.push_back(cache_.model(plan_.tasks[part]));
     fs::create_directories(cache_.run(task));
@@ -341,12 +354,29 @@ class Scheduler {
     cache_.finish(task, {seconds.count(), 0, size_on_disk(cache_.folder(task))});
   }
 
+  // Commands refuse to go on with other options than they were begun with, and the cache may be named otherwise now.
+  bool is_of_these_folders(const StageTask& task, const fs::path& run) const {
+    const fs::path file = run / "config.yaml";
+    if (!fs::exists(file)) return true;  // it was killed before it was written
+    const std::string before = read_file(file);
+    const auto names = [&](const fs::path& folder) {
+      return before.find(folder.string()) != std::string::npos;
+    };
+    const bool same_model =
+        !task.takes_model || trains(task.command) || names(model_folder(task, plan_, cache_));
+    return same_model && std::all_of(task.named.begin(), task.named.end(), [&](const auto& named) {
+             return names(cache_.run(plan_.tasks[named.second]));
+           });
+  }
+
   // Leaves the run folder as the command can begin or go on in it; returns whether it goes on.
   bool prepare_run(const StageTask& task) const {
     const fs::path run = cache_.run(task);
     if (task.resumed && !fs::exists(run)) branch_training(cache_.run(plan_.tasks[*task.resumed]), run);
     if (!fs::exists(run)) return false;
-    if (task.resumable && (!trains(task.command) || has_training_checkpoint(run))) return true;
+    if (task.resumable && is_of_these_folders(task, run) &&
+        (!trains(task.command) || has_training_checkpoint(run)))
+      return true;
     fs::remove_all(run);
     if (!task.resumed) return false;
     branch_training(cache_.run(plan_.tasks[*task.resumed]), run);
@@ -358,6 +388,7 @@ class Scheduler {
   const RunningOptions& options_;
   std::vector<TaskOutcome> outcomes_;
   std::vector<size_t> waiting_;
+  std::set<size_t> taken_;  // of the waiting ones, those that another ablation works at
   std::vector<RunningTask> running_;
 };
 

@@ -24,10 +24,11 @@ struct RunningOptions {
 
 struct TaskOutcome {
   bool done = false;
+  bool needed = true;   // not where all that would take it is done, though it is not there
   std::string problem;  // of a failed task, or of the one before it that failed: one sentence
 };
 
-// Runs what is not done, each task behind those that it needs, up to `jobs` at a time, and those that are to be alone
+// Runs what is not done and needed (needed_tasks()), each task behind those that it needs, up to `jobs` at a time, and those that are to be alone
 // alone. A task that fails costs those that need it, and no other. Every stage is a process of its own: killed, or
 // killed together with this process, it is gone on with next time (training) or begun again. There is one outcome a
 // task. Throws Interrupted after Ctrl-C or SIGTERM, when the running stages have stopped.

@@ -116,6 +116,7 @@ void judge(std::vector<Comparison>& claims, SeedsOf seeds) {
   p_values.reserve(claims.size());
   for (Comparison& claim : claims) {
     if (seeds == SeedsOf::kTrainings) claim.p_value = std::max(claim.p_value, claim.seeds_p_value);
+    if (claim.scenes < kFewestTellingScenes) claim.p_value = 1;
     p_values.push_back(claim.p_value);
   }
   const std::vector<double> corrected = holm_p_values(p_values);

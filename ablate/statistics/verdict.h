@@ -22,6 +22,8 @@ enum class SeedsOf { kEvaluations, kTrainings };
 // A verdict needs at least these. Two trainings say nothing of how much trainings differ.
 constexpr int64_t kFewestVerdictScenes = 64;
 int64_t fewest_verdict_seeds(SeedsOf seeds);  // 2, 3
+// Of fewer scenes the bootstrap draws the same ones again and again, and its p-value says nothing: it counts as 1.
+constexpr int64_t kFewestTellingScenes = 8;
 // Holm's p-value of a claim has to be below this: of twenty tables in which nothing is so, about one decides something.
 constexpr double kVerdictLevel = 0.05;
 

@@ -160,6 +160,31 @@ TEST_F(AblateCommand, GoesOnAfterItWasKilledAndRunsEveryStageOnce) {
   EXPECT_EQ(gld_ablate({"--plan"}), 0);
   EXPECT_THAT(text_, HasSubstr("time left 0 s"));
 
+  // Trainings that were removed are not run again for evaluations that are there.
+  const auto level = stages("level").front();
+  fs::remove_all(level);
+  EXPECT_EQ(gld_ablate(), 0) << text_;
+  EXPECT_THAT(text_, HasSubstr("0 to run"));
+  EXPECT_FALSE(fs::exists(level));
+  EXPECT_EQ(read_file(run() / "ablation.md").substr(0, 100), markdown.substr(0, 100));
+
+  // What put a bundle together and was killed before it said so does it again.
+  fs::remove(stages("whole").front() / "done.json");
+  for (const auto& stage : stages("eval")) fs::remove_all(stage);
+  EXPECT_EQ(gld_ablate(), 0) << text_;
+
+  // Other weights under the same name are another question.
+  BundleOptions other = small_bundle_options();
+  other.trained_sizes = {"56x56"};
+  fs::rename(folder_.path() / "model", folder_.path() / "first_model");
+  write_random_bundle(folder_.path() / "model", other, 2);
+  EXPECT_EQ(gld_ablate(), 1);
+  EXPECT_THAT(text_,
+              HasSubstr("expected the question whose results are there, found other weights in the model's "
+                        "folder, or another file of a stage's config; choose another --out"));
+  fs::remove_all(folder_.path() / "model");
+  fs::rename(folder_.path() / "first_model", folder_.path() / "model");
+
   // Another question does not take the place of the answer that is there.
   EXPECT_EQ(gld_ablate({"--seeds", "0"}), 1);
   EXPECT_THAT(
@@ -167,7 +192,6 @@ TEST_F(AblateCommand, GoesOnAfterItWasKilledAndRunsEveryStageOnce) {
       HasSubstr("expected the question whose results are there, found seeds [0] (it was [0, 1]); choose "
                 "another --out, with --cache " +
                 (run() / "cache").string() + " to take its finished stages"));
-  EXPECT_EQ(read_file(run() / "ablation.md"), markdown);
 
   EXPECT_EQ(gld_ablate({"--smoke", "--overwrite"}), 0) << text_;
   EXPECT_EQ(stages("level").size(), 1U);
@@ -275,6 +299,19 @@ TEST_F(AblateCommand, SeedsOfOtherRunsCountAsIfThisOneHadRunThem) {
       "error: --with-runs: expected the same numbers, of variant 'guided' metric psnr: "
       R"({"better":"higher","column":"reconstruction_psnr"}, found {"better":"higher","column":"sample_psnr"} in ')" +
           folder("zero") + "'; give it the same description, or leave the folder out.\n");
+  // The same stages, under each other's names.
+  write_file_atomically(
+      folder_.path() / "a.yaml",
+      std::regex_replace(std::regex_replace(std::regex_replace(text, std::regex("  plain:"), "  other:"),
+                                            std::regex("  guided:"), "  plain:"),
+                         std::regex("  other:"), "  guided:"));
+  EXPECT_EQ(run_seeds("two", "2", {"--with-runs", folder("zero")}), 2);
+  EXPECT_EQ(
+      text_,
+      "error: --with-runs: expected variant 'guided' as it is here in everything but its seed, found another one of "
+      "that name in '" +
+          folder("zero") +
+          "'; give it the same description, model, --overrides and --smoke, or leave the folder out.\n");
   write_file_atomically(folder_.path() / "a.yaml", text);
   EXPECT_EQ(run_seeds("two", "2", {"--with-runs", folder("three")}), 2);
   EXPECT_EQ(text_,

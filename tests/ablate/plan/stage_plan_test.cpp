@@ -243,6 +243,57 @@ variants: {a: {}}
   EXPECT_EQ(plan.tasks[3].needs, (std::vector<size_t>{0}));
 }
 
+// The same numbers again are no other scenes.
+TEST_F(StagePlan, RepeatedStagesDifferAndTakeTheRunOfTheirNumber) {
+  options_.seeds = {0};
+  EXPECT_EQ(
+      error("stages: {eval: {command: eval, repeat: 3}}\nvariants: {a: {}}\n"),
+      "a.yaml, variant 'a', stage 'eval', key 'repeat': expected options with ${number}, by which the runs differ, "
+      "found the same ones each time; write it into one of them, or leave repeat out.");
+  const std::string first =
+      "stages:\n  first: {command: eval, repeat: 3, options: {scene: \"room_${number}\"}}\n";
+  const AblationPlan plan = this->plan(
+      first + "  second: {command: eval, repeat: 3, options: {scene: \"${first}/a\"}}\nvariants: {a: {}}\n");
+  ASSERT_EQ(plan.runs.at(0).results, (std::vector<size_t>{3, 4, 5}));
+  for (size_t number = 0; number < 3; ++number)
+    EXPECT_EQ(plan.tasks[3 + number].needs, std::vector<size_t>{number});
+  EXPECT_EQ(
+      error(
+          first +
+          "  second: {command: eval, repeat: 2, options: {scene: \"${first}/${number}\"}}\nvariants: {a: {}}\n"),
+      "a.yaml, variant 'a', stage 'second', key 'options': expected ${first} of as many runs as this stage has, "
+      "found 3 and 2; give both the same repeat.");
+}
+
+// Its seconds are the result.
+TEST_F(StagePlan, OfWhatRunsAloneTheThreadsCountAndNoRunGoesOn) {
+  options_.seeds = {0};
+  const auto keys = [&](int64_t threads) {
+    options_.threads = threads;
+    const AblationPlan plan = this->plan(
+        "stages:\n  train: {command: train level}\n  timed: {command: train level, alone: true, options: {rooms: 9}}\n"
+        "variants: {a: {}}\n");
+    EXPECT_TRUE(plan.tasks[0].resumable);
+    EXPECT_FALSE(plan.tasks[1].resumable);
+    return std::make_pair(plan.tasks[0].key, plan.tasks[1].key);
+  };
+  const auto one = keys(1), two = keys(2);
+  EXPECT_EQ(one.first, two.first);
+  EXPECT_NE(one.second, two.second);
+}
+
+TEST_F(StagePlan, WhatWasRemovedIsNotMadeAgainForResultsThatAreThere) {
+  options_.seeds = {0, 1};
+  const AblationPlan plan = this->plan(std::string(kTwoStages) + "variants: {a: {}}\n");
+  const StageCache cache(folder_.path() / "cache");
+  EXPECT_EQ(needed_tasks(plan, cache), (std::vector<bool>{true, true, true, true}));
+  cache.begin(plan.tasks[1]);
+  cache.finish(plan.tasks[1], {});
+  EXPECT_EQ(needed_tasks(plan, cache), (std::vector<bool>{false, true, true, true}));
+  EXPECT_THAT(plan_text(plan, cache, 1),
+              testing::HasSubstr("3 stages for 2 runs of variants and seeds: 1 done, 2 to run"));
+}
+
 TEST_F(StagePlan, RefusesWhatCouldNotRunWithLineAndVariant) {
   options_.seeds = {0};
   EXPECT_EQ(
@@ -299,6 +350,12 @@ TEST_F(StagePlan, WhatTheAblationSetsItselfIsRefused) {
             "ablation sets itself; remove it.");
   EXPECT_THAT(error("stages: {eval: {command: eval, options: {model: here}}}\n" + variants),
               testing::HasSubstr("write 'model' beside 'options', for the stage or the variant."));
+  EXPECT_EQ(
+      error("stages: {eval: {command: eval, options: {threads: 3}}}\n" + variants),
+      "a.yaml:3, stage 'eval', key 'threads': expected an option that changes a result, found one that the ablation "
+      "sets itself; say it to gld ablate, or in the description's first lines.");
+  EXPECT_THAT(error("stages: {eval: {command: eval, options: {processes: {count: 2}}}}\n" + variants),
+              testing::HasSubstr("found one that the ablation sets itself; remove it."));
 }
 
 // Not first by the next smoke run.

@@ -54,6 +54,17 @@ TEST(Verdict, IsUndecidedForOneReasonThatItSays) {
   EXPECT_EQ(judged({}).reason, "0 scenes, a verdict needs 64");
 }
 
+// One scene is drawn again and again: its p-value is the least there can be, and would take the first of Holm's ranks.
+TEST(Verdict, ClaimsOfFewScenesMakeNoOtherOneEasier) {
+  std::vector<Comparison> claims{compare(around({0.5, 0.6}, 1)), compare(around({0.5, 0.6}, 7)),
+                                 compare(around({0.03, 0.032}, 64))};
+  EXPECT_LT(claims[0].p_value, 0.001);
+  judge(claims, SeedsOf::kEvaluations);
+  EXPECT_EQ(claims[0].p_value, 1);
+  EXPECT_EQ(claims[1].holm_p_value, 1);
+  EXPECT_NEAR(claims[2].holm_p_value, 3 * claims[2].p_value, 1e-12);
+}
+
 TEST(Verdict, IsUndecidedWhereSeedsDisagreeThoughTheIntervalLiesOnOneSide) {
   // Nine seeds of 1 and one of -0.5: draws of ten seeds have a mean below 0 once in some thousands.
   const Comparison mixed = judged(around({1, 1, 1, 1, 1, 1, 1, 1, 1, -0.5}, 64));
