@@ -24,6 +24,9 @@ constexpr float kNoiseVariance = 1e-4F;     // added, so that noise does not cor
 constexpr float kTemperature = 0.1F;        // of correlations
 constexpr float kUnseenCorrelation = 0.3F;  // what a candidate out of the other picture is worth
 constexpr float kLeastSeen = 0.3F;          // of the candidates, for a window to be asked
+// Of the windows asked, that correlate at some candidate better than one is worth that is out of the picture. Without
+// texture in the second photograph none does, and all would vote for a scale that moves them out of it.
+constexpr double kLeastTelling = 0.1;
 constexpr int64_t kBlocksASideOfView = 4;
 constexpr double kMatchingDeviation = 0.01;
 
@@ -263,19 +266,41 @@ void compare(const std::vector<ReducedView>& views, const ComparedPhotographs& c
   for (size_t k = 0; k < count; ++k) {
     comparison.correlate(std::exp(candidates.log_scale(static_cast<double>(k))), correlations[k]);
   }
+  // How many candidates a window is compared at, and the best correlation there.
+  struct Asked {
+    size_t seen = 0;
+    float best = -1;
+  };
+  const auto asked = [&](size_t pixel) {
+    Asked window;
+    for (size_t k = 0; k < count && view.depth[pixel] > 0; ++k) {
+      if (correlations[k][pixel] <= -1.5F) continue;
+      ++window.seen;
+      window.best = std::max(window.best, correlations[k][pixel]);
+    }
+    return window;
+  };
+  const auto is_seen = [&](const Asked& window) {
+    return static_cast<float>(window.seen) >= kLeastSeen * static_cast<float>(count);
+  };
+  size_t windows = 0, telling = 0;
+  for (size_t pixel = 0; pixel < view.pixels(); ++pixel) {
+    const Asked window = asked(pixel);
+    if (!is_seen(window)) continue;
+    ++windows;
+    if (window.best > kUnseenCorrelation) ++telling;
+  }
+  if (static_cast<double>(telling) < kLeastTelling * static_cast<double>(windows)) return;
   std::vector<float> density(count);
   for (int64_t y = 0; y < view.height; ++y) {
     for (int64_t x = 0; x < view.width; ++x) {
       const auto pixel = static_cast<size_t>(y * view.width + x);
-      if (view.depth[pixel] <= 0) continue;
-      size_t seen = 0;
+      if (!is_seen(asked(pixel))) continue;
       for (size_t k = 0; k < count; ++k) {
         const bool comparable = correlations[k][pixel] > -1.5F;
-        seen += comparable ? 1 : 0;
         density[k] =
             std::exp(((comparable ? correlations[k][pixel] : kUnseenCorrelation) - 1) / kTemperature);
       }
-      if (static_cast<float>(seen) < kLeastSeen * static_cast<float>(count)) continue;
       const auto block = static_cast<size_t>(y * kBlocksASideOfView / view.height * kBlocksASideOfView +
                                              x * kBlocksASideOfView / view.width);
       consensus.add(density, {compared.view, block});
@@ -368,8 +393,10 @@ std::optional<DepthScale> scale_from_photo_consistency(const std::vector<Picture
     focal = std::max({focal, small[compared.view].intrinsics(0, 0), small[compared.view].intrinsics(1, 1)});
   }
   // Parallax of a point at depth z is focal * baseline / z pixels.
-  ScaleConsensus consensus(
-      ScaleCandidates::between(kNearestDepth * nearest / depth, focal * farthest / depth));
+  ScaleCandidates candidates =
+      ScaleCandidates::between(kNearestDepth * nearest / depth, focal * farthest / depth);
+  candidates.cut_off = true;
+  ScaleConsensus consensus(candidates);
   for (const ComparedPhotographs& compared : comparisons) compare(small, compared, consensus);
   return consensus.estimate(estimator, kMatchingDeviation);
 }

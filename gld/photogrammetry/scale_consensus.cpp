@@ -173,6 +173,10 @@ std::optional<DepthScale> ScaleConsensus::estimate(const std::string& estimator,
 
   // This finds where to look, and how often other blocks would have said to look elsewhere.
   const double middle = peak(sum_of(all));
+  // The blur loses what lies beyond an end, and moves a maximum there inwards.
+  const double blurred = 2 * kDepthDeviation / candidates_.log_step;
+  const bool at_an_end = middle < blurred || middle > static_cast<double>(count) - 1 - blurred;
+  if (candidates_.cut_off && at_an_end) return std::nullopt;
   std::vector<double> off;
   off.reserve(kResamplings);
   for (int i = 0; i < kResamplings; ++i) {

@@ -14,6 +14,8 @@ struct ScaleCandidates {
   double log_first = 0;
   double log_step = 0.06;
   int64_t count = 1;
+  // Scales beyond the ends are possible too: what then is best at an end says only that the scale lies there or beyond.
+  bool cut_off = false;
 
   // Candidates go from lowest to highest, both > 0.
   static ScaleCandidates between(double lowest, double highest);
@@ -48,7 +50,8 @@ class ScaleConsensus {
 
   int64_t observations() const { return observations_; }
 
-  // Returns nothing of fewer than 20 observations or 2 blocks. The interval covers where the maximum lies
+  // Returns nothing of fewer than 20 observations or 2 blocks, and where the best of candidates that are cut off lies at an
+  // end. The interval covers where the maximum lies
   // when blocks are drawn anew (bootstrap, always with the same draws) and the scatter between views, and is never
   // narrower than smallest_deviation (of the logarithm) allows. The residual is the median of |log(ratio / scale)| over
   // the observations that are decided by themselves.

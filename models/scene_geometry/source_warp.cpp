@@ -33,9 +33,11 @@ torch::Tensor reduced_photographs(const torch::Tensor& photographs) {
   constexpr int64_t kLargestSide = 64;
   const int64_t factor =
       (std::max(photographs.size(2), photographs.size(3)) + kLargestSide - 1) / kLargestSide;
-  return factor <= 1 ? photographs
-                     : torch::avg_pool2d(photographs, {std::min(factor, photographs.size(-2)),
-                                                       std::min(factor, photographs.size(-1))});
+  if (factor <= 1) return photographs;
+  // Sides that are no multiples are covered whole too: the cameras are of all of them.
+  const auto reduced = [&](int64_t side) { return std::max<int64_t>(1, (side + factor / 2) / factor); };
+  return torch::adaptive_avg_pool2d(photographs,
+                                    {reduced(photographs.size(-2)), reduced(photographs.size(-1))});
 }
 
 // A carried picture with how far it is to be trusted: the less the nearer its camera stood (in median depths: an error

@@ -95,6 +95,24 @@ TEST(PhotoConsistency, SaysNothingWhereNothingCanBeSeen) {
 }
 
 // Photographs of two scenes agree nowhere.
+// Every window would vote for a depth that moves it out of the photograph that shows nothing.
+TEST(PhotoConsistency, SaysNothingBesideAPhotographWithoutTexture) {
+  auto views = views_of_plane();
+  std::mt19937_64 generator(5);
+  std::normal_distribution<float> noise(0.5F, 0.005F);
+  for (float& value : views[1].rgb) value = noise(generator);
+  EXPECT_FALSE(scale_from_photo_consistency(views, "photographs").has_value());
+}
+
+// Of what hardly moves photographs say that it is that far away or farther.
+TEST(PhotoConsistency, SaysNothingOfWhatIsTooFarAway) {
+  auto views = views_of_plane();
+  views[1].rgb = views[0].rgb;
+  views[1].depth = views[0].depth;
+  views[1].camera.world_from_camera.linear() = views[0].camera.world_from_camera.linear();
+  EXPECT_FALSE(scale_from_photo_consistency(views, "photographs").has_value());
+}
+
 TEST(PhotoConsistency, IsInDoubtWherePhotographsDoNotMatch) {
   auto views = views_of_plane();
   std::mt19937_64 generator(5);
