@@ -11,6 +11,7 @@
 #include "gld/base/child_process.h"
 #include "gld/base/error.h"
 #include "gld/base/interrupt.h"
+#include "gld/base/printable_text.h"
 #include "gld/base/work_folder.h"
 
 #include <algorithm>
@@ -43,7 +44,6 @@ class ColmapProgram {
       stop_if_interrupted("while COLMAP registered photographs");
       const std::chrono::duration<double> taken = std::chrono::steady_clock::now() - start_;
       if (taken.count() > options_.timeout) {
-        folder_.keep();
         fail({where_, fmt::format("COLMAP's {} to end within {:g} s", command, options_.timeout),
               "it still running; " + last_words(), "take fewer photographs, or --photo-cameras features"});
       }
@@ -51,14 +51,25 @@ class ColmapProgram {
     }
     const int status = process.poll()->status;
     if (status == 0) return;
-    folder_.keep();
     fail({where_, "COLMAP's " + command + " to succeed",
           fmt::format("exit status {}; {}", status, last_words()),
-          "see there, or take --photo-cameras features"});
+          options_.keeps_failures ? "see there, or take --photo-cameras features"
+                                  : "take --photo-cameras features"});
   }
 
  private:
-  std::string last_words() const { return "what it printed is in " + folder_.log().string(); }
+  std::string last_words() const {
+    if (options_.keeps_failures) {
+      folder_.keep();
+      return "what it printed is in " + folder_.log().string();
+    }
+    std::ifstream log(folder_.log());
+    std::string last;
+    for (std::string line; std::getline(log, line);) {
+      if (line.find_first_not_of(" \t\r") != std::string::npos) last = line;
+    }
+    return last.empty() ? "it printed nothing" : "it printed at last: " + printable_text(last);
+  }
 
   const ColmapRegistrationOptions& options_;
   WorkFolder& folder_;

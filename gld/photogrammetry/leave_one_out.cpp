@@ -6,6 +6,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <functional>
 #include <limits>
 #include <utility>
 
@@ -112,10 +113,11 @@ Carried with_depth(const std::vector<PicturedView>& views, const std::vector<siz
   return carried;
 }
 
+bool knows_depth(const PicturedView& source) { return !source.depth.values.empty(); }
+
 // sources are with depth, or with none of which nothing can be said.
 PhotographView predicted_view(std::vector<PicturedView> sources, double reach, const PicturedView& left_out) {
-  const auto unknown = [](const PicturedView& source) { return source.depth.values.empty(); };
-  sources.erase(std::remove_if(sources.begin(), sources.end(), unknown), sources.end());
+  sources.erase(std::remove_if(sources.begin(), sources.end(), std::not_fn(knows_depth)), sources.end());
   PhotographViewOptions options;
   options.carry.depth_reach = reach;
   const Camera camera = resized_camera(left_out.camera, left_out.width, left_out.height);
@@ -161,9 +163,11 @@ std::vector<LeftOutPhotograph> leave_one_out(const std::vector<PicturedView>& vi
     const size_t view = (2 * i + 1) * views.size() / (2 * count);
     std::vector<size_t> others = nearest_others(views, view, options.neighbours);
     Carried carried = with_depth(views, others, view, points, options.stereo, settings);
+    const bool known = std::any_of(carried.sources.begin(), carried.sources.end(), knows_depth);
     const PhotographView predicted = predicted_view(std::move(carried.sources), carried.reach, views[view]);
     result.push_back(compared(views, view, std::move(others), predicted, options.block));
     result.back().by_its_match = carried.by_its_match;
+    result.back().depth_known = known;
   }
   return result;
 }
@@ -174,6 +178,7 @@ LeftOutPhotograph mean_of(const std::vector<LeftOutPhotograph>& left_out) {
   const auto count = static_cast<double>(left_out.size());
   for (const LeftOutPhotograph& one : left_out) {
     mean.covered += one.covered / count;
+    mean.depth_known = mean.depth_known || one.depth_known;
     mean.psnr += one.psnr / count;
     mean.psnr_nearest += one.psnr_nearest / count;
     mean.psnr_mean += one.psnr_mean / count;

@@ -18,7 +18,9 @@ struct LeftOutPhotograph {
   size_t view = 0;            // which was left out
   std::vector<size_t> from;   // what it was predicted from
   bool by_its_match = false;  // depth of the others is from their match with it: alone they told none
-  double covered = 0;         // share of its pixels that the others show
+  bool depth_known =
+      false;           // of any of the others; without it they show nothing of it, however much they overlap
+  double covered = 0;  // share of its pixels that the others show
   // dB: of the prediction with gaps filled smoothly, of what is covered alone (not a number where nothing is), and of
   // what needs no depth: the photograph that was taken nearest, and the mean of the others.
   double psnr = 0;
@@ -49,7 +51,7 @@ std::vector<LeftOutPhotograph> leave_one_out(const std::vector<PicturedView>& vi
                                              const KernelSettings& settings = {});
 
 // Returns the means over those left out; psnr_covered is over those of which something is covered, and not a number
-// where none is. view and from are left empty.
+// where none is; depth_known is whether it is of any. view and from are left empty.
 LeftOutPhotograph mean_of(const std::vector<LeftOutPhotograph>& left_out);
 
 }  // namespace gld

@@ -6,7 +6,7 @@
 
 namespace gld {
 
-// Sets what --threads asks for (gld/base/command_options.h; 0: one a core) for LibTorch, OpenMP and BLAS alike. Returns
+// Sets what --threads asks for (gld/base/command_options.h; 0: one a core) for LibTorch, OpenMP, BLAS and OpenCV alike. Returns
 // the number of threads. This is the one way from an option to the setting.
 int use_threads(int64_t threads);
 

@@ -144,6 +144,25 @@ int64_t packed_bytes(int64_t float32_bytes, ComputePrecision precision) {
   }
 }
 
+// Returns the bytes of source photographs as they are matched and kept, and of what is carried of them: colours of float32
+// once in the scene and once in the request; where views are laid together, once more with their depth, once evened for
+// a target, and once as they are carried with their weights; and of each target view what is shown, its picture, what
+// was generated as large, and all of them stacked.
+int64_t photographs_held(const PlannedStage& stage, const BundleOptions& bundle, const PlanRequest& request) {
+  const StageRequest stages = request.stage_request();
+  if (!stages.photographs.matches() && !stages.photographs.composes()) return 0;
+  constexpr int64_t kColours = 3 * kFloatBytes, kHeldPhotograph = 2 * kColours,
+                    kCarriedPhotograph = 3 * kColours + 2 * kFloatBytes, kShownView = 15 * kFloatBytes;
+  const int64_t side = request.photograph_magnification * bundle.backbone.patch_side();
+  const int64_t pixels = request.grid.tokens_per_view() * side * side;
+  int64_t bytes = request.num_sources * pixels * kHeldPhotograph;
+  if (stage.kind == StageKind::kComposition) {
+    bytes += request.num_sources * pixels * kCarriedPhotograph;
+    bytes += (request.grid.views - request.num_sources) * pixels * kShownView;
+  }
+  return bytes;
+}
+
 void predict_memory(PlannedStage& stage, const BundleOptions& bundle, const PlanRequest& request) {
   const StageNeeds needs = needs_of(stage, bundle, request.stage_request());
   if (stage.kind == StageKind::kGeometry && request.geometry_model) {
@@ -157,6 +176,7 @@ void predict_memory(PlannedStage& stage, const BundleOptions& bundle, const Plan
         stage.memory.converted = std::max(stage.memory.converted, converted->second);
     }
   }
+  stage.memory.held += photographs_held(stage, bundle, request);
   stage.read_bytes = stage.memory.weights;
   stage.memory.weights = packed_bytes(stage.memory.weights, stage.precision.linear);
   stage.memory.held += needs.latents * latent_bytes(bundle.backbone.level_channels(), request.grid);

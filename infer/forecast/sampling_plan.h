@@ -38,6 +38,7 @@ struct PlanRequest {
   int64_t photographs = 0;
   int64_t photograph_pixels = 0;          // of the largest, as it was taken
   int64_t picture_magnification = 1;      // of the pictures that are made, in the grid's
+  int64_t photograph_magnification = 1;   // of the source photographs as they are matched and kept, likewise
   std::optional<SceneFitOptions> splats;  // where Gaussians are fitted to the run's pictures
   int64_t preview_every = 0;              // PipelineRequest::preview_every
   // ModelBundle::converted_bytes of parts, by name; of those that are left out 0.

@@ -167,18 +167,28 @@ void fuse_depth(const PipelineRequest& request, const PipelineState& state, Pipe
   if (request.photographs.refines()) result.view_depth_from += ", mended by a network";
 }
 
-// Returns the request without some of its target views (numbers from 0), for what is generated of the others: their
-// pictures.
+// Returns which views are there without some target views (numbers from 0, of targets).
+std::vector<int64_t> views_without(const Views& views, const std::vector<int64_t>& left_out) {
+  std::vector<int64_t> kept;
+  for (int64_t view = 0; view < views.size(); ++view) {
+    if (!std::binary_search(left_out.begin(), left_out.end(), view - views.num_sources)) kept.push_back(view);
+  }
+  return kept;
+}
+
+Views chosen_views(const Views& views, const std::vector<int64_t>& kept) {
+  Views chosen = views;
+  chosen.cameras.clear();
+  for (const int64_t view : kept) chosen.cameras.push_back(views.cameras[static_cast<size_t>(view)]);
+  return chosen;
+}
+
+// Returns the request without some of its target views, for what is generated of the others: their pictures.
 PipelineRequest without_targets(const PipelineRequest& request, const std::vector<int64_t>& left_out,
                                 const SourceDepth& depth) {
   PipelineRequest rest = request;
-  rest.views.cameras.clear();
-  std::vector<int64_t> kept;
-  for (int64_t view = 0; view < request.views.size(); ++view) {
-    if (std::binary_search(left_out.begin(), left_out.end(), view - request.views.num_sources)) continue;
-    kept.push_back(view);
-    rest.views.cameras.push_back(request.views.cameras[static_cast<size_t>(view)]);
-  }
+  const std::vector<int64_t> kept = views_without(request.views, left_out);
+  rest.views = chosen_views(request.views, kept);
   const auto index = torch::tensor(kept);
   for (torch::Tensor& noise : rest.noise) noise = noise.index_select(0, index.to(noise.device()));
   rest.source_depth = depth;
@@ -201,18 +211,25 @@ torch::Tensor merged(const torch::Tensor& some, const std::vector<int64_t>& numb
   return torch::stack(rows);
 }
 
+PipelineResult run_stages(const PipelineModels& models, const PipelineRequest& request, PipelineState& state,
+                          StageRecords& stages);
+
 // Of some target views the photographs say all, so that flows are run for the others alone, if any: fills in what is
-// left of the result.
+// left of the result. composition is the name of that stage.
 void run_without_complete(const PipelineModels& models, const PipelineRequest& request, PipelineState& state,
-                          const std::vector<int64_t>& complete, PipelineResult& result,
-                          StageRecords& stages) {
+                          const std::vector<int64_t>& complete, const std::string& composition,
+                          PipelineResult& result, StageRecords& stages) {
   std::vector<int64_t> others;
   for (int64_t target = 0; target < request.views.num_targets(); ++target) {
     if (!std::binary_search(complete.begin(), complete.end(), target)) others.push_back(target);
   }
-  const Views carried = without_targets(request, others, *state.depth).views;
-  ComposedViews composed = carried_views(carried, photographs_of(request, state), *state.depth,
-                                         blending_of(models, request).get());
+  const Views carried = chosen_views(request.views, views_without(request.views, others));
+  ComposedViews composed;
+  stages.run(others.empty() ? composition : composition + " of complete views", [&] {
+    composed = carried_views(carried, photographs_of(request, state), *state.depth,
+                             blending_of(models, request).get());
+  });
+  state.sources.for_geometry = {};
   if (!others.empty()) {
     PipelineRequest of_others = without_targets(request, complete, *state.depth);
     if (request.on_preview) {
@@ -220,7 +237,7 @@ void run_without_complete(const PipelineModels& models, const PipelineRequest& r
         request.on_preview(stage, merged(composed.images, complete, images));
       };
     }
-    PipelineResult rest = run_pipeline(models, of_others, stages);
+    PipelineResult rest = run_stages(models, of_others, state, stages);
     composed.images = merged(composed.images, complete, rest.composed->images);
     composed.shown = merged(composed.shown, complete, rest.composed->shown);
     composed.expected_variance =
@@ -248,40 +265,24 @@ void run_without_complete(const PipelineModels& models, const PipelineRequest& r
   });
 }
 
-}  // namespace
-
-bool PipelineRequest::stop_asked() const {
-  return interrupt_requested() || (stop_requested && stop_requested());
-}
-
-StageRequest PipelineRequest::stage_request() const {
-  StageRequest stages;
-  stages.views = views.size();
-  stages.num_sources = views.num_sources;
-  stages.image_views = image_views;
-  stages.geometry_views = geometry_views;
-  stages.source_depth_given = source_depth.has_value();
-  stages.single_source_unit_known = single_source_unit > 0;
-  stages.photographs = photographs;
-  stages.refines_samples = flow.refine;
-  return stages;
-}
-
-PipelineResult run_pipeline(const PipelineModels& models, const PipelineRequest& request,
-                            StageRecords& stages) {
-  const torch::NoGradGuard no_gradients;
+// Goes on from the sources where the state has them encoded, with their depth.
+PipelineResult run_stages(const PipelineModels& models, const PipelineRequest& request, PipelineState& state,
+                          StageRecords& stages) {
   const int64_t num_sources = request.views.num_sources;
   PipelineResult result;
-  PipelineState state;
-  state.depth = request.source_depth;
+  const auto take_grid = [&] {
+    result.grid = state.sources.grid;
+    result.grid.views = request.views.size();
+    check_request(models, request, result.grid);
+  };
+  const bool encoded = !state.sources.levels.empty();
+  if (encoded) take_grid();
   const auto run = [&](const SamplingStage& stage) {
     switch (stage.kind) {
       case StageKind::kSourceEncoding:
         run_source_encoding(models, request, state, stage.name);
         result.divergences = source_divergences(models, state.sources);
-        result.grid = state.sources.grid;
-        result.grid.views = request.views.size();
-        check_request(models, request, result.grid);
+        take_grid();
         return;
       case StageKind::kSourceDepth:
         run_source_depth(models, request, state, result);
@@ -328,14 +329,17 @@ PipelineResult run_pipeline(const PipelineModels& models, const PipelineRequest&
     }
   };
   const auto planned = sampling_stages(models.levels, request.stage_request());
-  const bool composes = std::any_of(planned.begin(), planned.end(), [](const SamplingStage& stage) {
+  const auto composition = std::find_if(planned.begin(), planned.end(), [](const SamplingStage& stage) {
     return stage.kind == StageKind::kComposition && stage.runs;
   });
+  const bool composes = composition != planned.end();
   const bool may_leave_out = composes && request.photographs.leaves_out_complete && !request.all_latents &&
                              request.image_views == DecodedViews::kTargets;
   const StageKind last_image_stage = composes ? StageKind::kComposition : StageKind::kRgbDecoding;
   for (const auto& stage : planned) {
     if (!stage.runs) continue;
+    if (encoded && (stage.kind == StageKind::kSourceEncoding || stage.kind == StageKind::kSourceDepth))
+      continue;
     if (stage.kind == StageKind::kPropagation) {
       stop_if_interrupted("the latents were generated; nothing was decoded");
     } else if (stage.kind == StageKind::kGeometry) {
@@ -345,9 +349,12 @@ PipelineResult run_pipeline(const PipelineModels& models, const PipelineRequest&
     if (request.stop_requested && request.stop_requested()) throw Interrupted(stage.name + " was not begun");
     stages.run(stage.name, [&] { run(stage); });
     if (stage.kind == StageKind::kSourceDepth && may_leave_out) {
-      const auto complete = complete_targets(request.views, photographs_of(request, state), *state.depth);
+      std::vector<int64_t> complete;
+      stages.run("complete views", [&] {
+        complete = complete_targets(request.views, photographs_of(request, state), *state.depth);
+      });
       if (!complete.empty()) {
-        run_without_complete(models, request, state, complete, result, stages);
+        run_without_complete(models, request, state, complete, composition->name, result, stages);
         return result;
       }
     }
@@ -355,6 +362,33 @@ PipelineResult run_pipeline(const PipelineModels& models, const PipelineRequest&
       request.on_images(result.images, result.composed);
   }
   return result;
+}
+
+}  // namespace
+
+bool PipelineRequest::stop_asked() const {
+  return interrupt_requested() || (stop_requested && stop_requested());
+}
+
+StageRequest PipelineRequest::stage_request() const {
+  StageRequest stages;
+  stages.views = views.size();
+  stages.num_sources = views.num_sources;
+  stages.image_views = image_views;
+  stages.geometry_views = geometry_views;
+  stages.source_depth_given = source_depth.has_value();
+  stages.single_source_unit_known = single_source_unit > 0;
+  stages.photographs = photographs;
+  stages.refines_samples = flow.refine;
+  return stages;
+}
+
+PipelineResult run_pipeline(const PipelineModels& models, const PipelineRequest& request,
+                            StageRecords& stages) {
+  const torch::NoGradGuard no_gradients;
+  PipelineState state;
+  state.depth = request.source_depth;
+  return run_stages(models, request, state, stages);
 }
 
 }  // namespace gld

@@ -127,6 +127,7 @@ void register_photographs(PhotoScene& made, const PhotoSceneRequest& request) {
   }
   ColmapRegistrationOptions options;
   options.program = found_colmap();
+  options.keeps_failures = !automatic;
   options.threads = request.threads;
   if (!options.program.empty()) {
     try {
@@ -290,7 +291,9 @@ PhotoScene photo_scene(const std::vector<Photograph>& taken, const PhotoSceneReq
   } else {
     take_seen(made, request, stages);
   }
-  for (const std::string& sentence : made.passed_over) made.text = sentence + "\n" + made.text;
+  std::string passed_over;
+  for (const std::string& sentence : made.passed_over) passed_over += sentence + "\n";
+  made.text = passed_over + made.text;
   return made;
 }
 

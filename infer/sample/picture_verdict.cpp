@@ -36,6 +36,7 @@ constexpr double kWorseBy = 3;
 PhotographsAgree agreement_of(const std::vector<LeftOutPhotograph>& left_out) {
   if (left_out.empty()) return PhotographsAgree::kOne;
   const LeftOutPhotograph mean = mean_of(left_out);
+  if (!mean.depth_known) return PhotographsAgree::kUntold;
   if (mean.covered < kHardlyCovered) return PhotographsAgree::kHardly;
   const bool better = mean.psnr > std::max(mean.psnr_nearest, mean.psnr_mean) + kBetterBy;
   if (!better || !(mean.psnr_covered >= kFits)) return PhotographsAgree::kNot;
@@ -76,6 +77,11 @@ std::string photographs_sentence(PhotographsAgree agree, const PictureEvidence& 
   switch (agree) {
     case PhotographsAgree::kOne:
       break;
+    case PhotographsAgree::kUntold:
+      return fmt::format(
+          "The photographs tell no depth: they were taken from one place or from far away, show nothing in common or have no "
+          "texture: expect inventions{}; take some a step to the side of each other, of the same things",
+          kept);
     case PhotographsAgree::kHardly:
       return fmt::format(
           "The photographs hardly overlap (the others show {:.0f} % of one): expect inventions{}; take some in between, each "
@@ -189,7 +195,8 @@ std::string left_out_text(const std::vector<LeftOutPhotograph>& left_out) {
 }
 
 nlohmann::ordered_json verdict_json(const PictureVerdict& verdict, const PictureEvidence& evidence) {
-  const char* names[] = {"one photograph", "hardly overlap", "do not fit", "roughly", "well"};
+  const char* names[] = {"one photograph", "tell no depth", "hardly overlap",
+                         "do not fit",     "roughly",       "well"};
   nlohmann::ordered_json json{{"sentence", verdict.sentence},
                               {"photographs", names[static_cast<size_t>(verdict.photographs)]},
                               {"unfamiliar", verdict.unfamiliar},

@@ -41,6 +41,7 @@ struct PictureEvidence {
 
 enum class PhotographsAgree {
   kOne,     // a single source
+  kUntold,  // they tell no depth, by which one could show another
   kHardly,  // they hardly show the same
   kNot,     // depth and cameras carry one to the others no better than it is as it is
   kRoughly,

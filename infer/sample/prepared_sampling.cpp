@@ -271,10 +271,9 @@ PlanRequest plan_request(const PreparedSampling& prepared, const SampleOptions& 
   }
   request.preview_every = options.preview;
   request.flow.refine = options.refine;
-  if (options.size == kPhotographSize) {
-    request.picture_magnification =
-        photograph_magnification(prepared.found, prepared.selection, kLargestPhotographSide, size);
-  }
+  request.photograph_magnification = photograph_magnification(prepared.found, prepared.selection,
+                                                              largest_photograph_side(options.size), size);
+  if (options.size == kPhotographSize) request.picture_magnification = request.photograph_magnification;
   if (options.requested().splats) request.splats = options.splats.scene_fit(options.seed);
   for (const BundlePart& part : needed_parts(prepared.bundle.options(), request.stage_request()))
     request.converted_bytes[bundle_part_name(part)] = prepared.bundle.converted_bytes(part);

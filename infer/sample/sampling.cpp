@@ -428,8 +428,10 @@ void sample(const SampleOptions& options) {
     run.note("page", kPageFile);
   }
   kept.remove();
-  const bool all_computed = std::none_of(result.flows.begin(), result.flows.end(),
-                                         [](const FlowReport& flow) { return flow.kept; });
+  // The plan is of all views.
+  const bool all_computed =
+      result.carried_only.empty() && std::none_of(result.flows.begin(), result.flows.end(),
+                                                  [](const FlowReport& flow) { return flow.kept; });
   if (planned.speed.kept && all_computed && options.preview == 0 && prepared.device.is_cpu()) {
     try {
       learn_from_run(machine_rates_file(), present_rate_key(), timed_stages(planned.plan, stages.records()));

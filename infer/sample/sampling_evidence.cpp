@@ -1,6 +1,7 @@
 #include "infer/sample/sampling_evidence.h"
 
 #include "gld/page/run_report.h"
+#include "gld/photogrammetry/photograph_composition.h"
 #include "gld/tensors/torch_version.h"
 #include "models/bundle/seen_scenes.h"
 
@@ -10,13 +11,18 @@ namespace gld {
 
 std::vector<LeftOutPhotograph> left_out_photographs(const SamplingScene& scene, const PhotographUse& use,
                                                     const PipelineResult& result) {
-  std::vector<PicturedView> views = scene.photographs.views;
-  for (size_t i = 0; i < std::min(views.size(), result.head_depth.size()); ++i) {
-    views[i].depth = result.head_depth[i];
-  }
+  // What is compared is of the model's size: more than a few times its pixels would be work for nothing.
+  const int64_t side = std::max(scene.size.width, scene.size.height);
   LeaveOneOutOptions options;
   options.stereo = use.stereo;
-  if (!views.empty()) options.block = views.front().width / scene.size.width;
+  std::vector<PicturedView> views;
+  for (size_t i = 0; i < scene.photographs.views.size(); ++i) {
+    const PicturedView& taken = scene.photographs.views[i];
+    options.block =
+        std::min(taken.width / scene.size.width, std::max<int64_t>(1, kMatchedPhotographSide / side));
+    views.push_back(reduced_view(taken, options.block * side));
+    if (i < result.head_depth.size()) views.back().depth = result.head_depth[i];
+  }
   KernelSettings settings;
   settings.threads = static_cast<int>(thread_count());
   return leave_one_out(views, scene.photographs.points_in_world, options, settings);

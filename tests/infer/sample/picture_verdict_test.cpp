@@ -14,6 +14,7 @@ using testing::Not;
 LeftOutPhotograph left_out(double covered, double psnr_covered, double psnr, double trivial) {
   LeftOutPhotograph one;
   one.from = {1};
+  one.depth_known = true;
   one.covered = covered;
   one.psnr_covered = psnr_covered;
   one.psnr = psnr;
@@ -42,6 +43,22 @@ TEST(PictureVerdict, RealScenesAreOrderedRightly) {
   EXPECT_EQ(verdict_of(evidence_of(left_out(0.42, 10.9, 12.2, 13.1))).photographs, PhotographsAgree::kNot);
   EXPECT_EQ(verdict_of(evidence_of(left_out(0, none, 12.7, 11.2))).photographs, PhotographsAgree::kHardly);
   EXPECT_EQ(verdict_of(PictureEvidence()).photographs, PhotographsAgree::kOne);
+}
+
+// From one place, however much they overlap, photographs tell no depth.
+TEST(PictureVerdict, PhotographsWithoutDepthAreNotSaidToLieApart) {
+  LeftOutPhotograph one = left_out(0, std::numeric_limits<double>::quiet_NaN(), 12.7, 11.2);
+  one.depth_known = false;
+  PictureEvidence evidence = evidence_of(one);
+  evidence.kept = 0;
+  const PictureVerdict verdict = verdict_of(evidence);
+  EXPECT_EQ(verdict.photographs, PhotographsAgree::kUntold);
+  EXPECT_EQ(
+      verdict.sentence,
+      "The photographs tell no depth: they were taken from one place or from far away, show nothing in common or have "
+      "no texture: expect inventions; 0 % of the target views come from them; take some a step to the side of each "
+      "other, of the same things.");
+  EXPECT_EQ(verdict_json(verdict, evidence).at("photographs"), "tell no depth");
 }
 
 TEST(PictureVerdict, IsOneSentenceWithItsFigures) {
