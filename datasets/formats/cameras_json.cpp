@@ -1,5 +1,6 @@
 #include "datasets/formats/cameras_json.h"
 
+#include "datasets/formats/file_listing.h"
 #include "datasets/formats/json_file.h"
 #include "datasets/scenes/frame_checks.h"
 #include "gld/base/atomic_file.h"
@@ -42,7 +43,7 @@ CameraRecord parse_record(const json& object, const std::string& where) {
   check_frame_camera(record.camera, where);
   record.image = text_or_empty(object, "image", where);
   record.depth = text_or_empty(object, "depth", where);
-  if (std::filesystem::path(record.depth).extension() == ".png") {
+  if (is_image_name(record.depth)) {
     record.depth_unit = json_number(object, "depth_unit", where);
     if (!(record.depth_unit > 0) || !std::isfinite(record.depth_unit)) {
       fail({where, "a positive \"depth_unit\"", object.at("depth_unit").dump(), "correct it"});

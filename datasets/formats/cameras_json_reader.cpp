@@ -18,13 +18,13 @@ namespace {
 
 std::filesystem::path list_file(const std::filesystem::path& path) {
   const auto file = path.filename() == "cameras.json" ? path : path / "cameras.json";
-  return std::filesystem::is_regular_file(file) ? file : std::filesystem::path();
+  return is_file(file) ? file : std::filesystem::path();
 }
 
 // Depth that has cameras of its own is brought to its image's size when it is read.
 void add_depth_of_other_size(const std::filesystem::path& folder, CameraList& cameras) {
   const auto file = folder / kDepthCamerasFile;
-  if (!std::filesystem::is_regular_file(file)) return;
+  if (!is_file(file)) return;
   std::map<std::string, CameraRecord> of_depth;
   for (const CameraRecord& record : read_cameras_json(file).records) of_depth[record.name] = record;
   for (CameraRecord& record : cameras.records) {
@@ -69,7 +69,7 @@ Scene CamerasJsonReader::read(const std::filesystem::path& path, const SceneRead
       FrameRecord frame;
       frame.name = record.name;
       frame.image_file = inside(folder, record.image, where);
-      if (!std::filesystem::is_regular_file(frame.image_file)) {
+      if (!is_file(frame.image_file)) {
         builder.add_missing(frame.image_file);
         return std::nullopt;
       }

@@ -81,8 +81,10 @@ void read_cameras_bin(const std::filesystem::path& file, ColmapModel& model) {
     const auto kind = reader.get<int32_t>();
     const auto& kinds = colmap_model_kinds();
     if (kind < 0 || static_cast<size_t>(kind) >= kinds.size()) {
-      fail({reader.where(), "a camera model from 0 to " + std::to_string(kinds.size() - 1),
-            std::to_string(kind), "check that it is a file of this kind"});
+      fail({reader.where(),
+            "a camera model from 0 to " + std::to_string(kinds.size() - 1) + ", such as PINHOLE or OPENCV",
+            std::to_string(kind),
+            "undistort the images with COLMAP's image_undistorter, or check that it is a file of this kind"});
     }
     ColmapCamera camera;
     camera.model = kinds[static_cast<size_t>(kind)].name;

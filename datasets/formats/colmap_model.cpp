@@ -114,9 +114,8 @@ std::vector<std::vector<ColmapTrackElement>> colmap_tracks(const ColmapModel& mo
 ColmapLocation find_colmap_model(const std::filesystem::path& scene) {
   for (const auto& folder : {scene, scene / "sparse" / "0", scene / "sparse",
                              scene / "colmap" / "sparse" / "0", scene / "sparse_txt"}) {
-    if (std::filesystem::is_regular_file(folder / "cameras.bin")) return {folder, ColmapForm::kBinary};
-    if (std::filesystem::is_regular_file(folder / "cameras.txt") &&
-        std::filesystem::is_regular_file(folder / "images.txt")) {
+    if (is_file(folder / "cameras.bin")) return {folder, ColmapForm::kBinary};
+    if (is_file(folder / "cameras.txt") && is_file(folder / "images.txt")) {
       return {folder, ColmapForm::kText};
     }
   }

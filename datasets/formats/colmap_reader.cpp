@@ -14,7 +14,7 @@ namespace {
 std::filesystem::path find_colmap_image(const std::filesystem::path& folder, const std::string& name,
                                         const std::string& where) {
   auto file = inside(folder, name, where);
-  if (std::filesystem::is_regular_file(file)) return file;
+  if (is_file(file)) return file;
   return find_image(file.parent_path(), file.stem().string());
 }
 
@@ -25,8 +25,8 @@ std::filesystem::path scene_around(const std::filesystem::path& path, const std:
   if (!folder.has_filename()) folder = folder.parent_path();
   constexpr int kDeepestModel = 3;  // SCENE/colmap/sparse/0
   for (int depth = 0; depth <= kDeepestModel; ++depth, folder = folder.parent_path()) {
-    const bool found = image_folder.empty() ? !find_image_folder(folder, "").empty()
-                                            : std::filesystem::is_directory(folder / image_folder);
+    const bool found =
+        image_folder.empty() ? !find_image_folder(folder, "").empty() : is_folder(folder / image_folder);
     if (found) return depth == 0 ? path : folder;
   }
   return path;

@@ -6,6 +6,8 @@
 
 #include <algorithm>
 #include <map>
+#include <sstream>
+#include <string>
 
 #include <fmt/format.h>
 
@@ -55,6 +57,15 @@ void read_cameras_txt(const std::filesystem::path& file, ColmapModel& model) {
   }
 }
 
+// Returns whether a line is one of observations, X Y POINT3D_ID each: an image's has a tenth field, its name.
+bool is_observations(const std::string& line) {
+  size_t fields = 0;
+  std::istringstream words(line);
+  std::string last;
+  for (std::string word; words >> word; ++fields) last = word;
+  return fields % 3 == 0 && (fields == 0 || last.find_first_not_of("-0123456789") == std::string::npos);
+}
+
 void read_images_txt(const std::filesystem::path& file, ColmapModel& model) {
   // Every image has a second line, of observations, which may be empty.
   bool observations = false;
@@ -62,7 +73,9 @@ void read_images_txt(const std::filesystem::path& file, ColmapModel& model) {
     if (is_comment(line.text)) continue;
     if (observations) {
       observations = false;
-      continue;
+      if (is_observations(line.text)) continue;
+      fail({line.where, "the observations of the image above: X Y POINT3D_ID each, or an empty line",
+            "another line", "check that every image has its line of observations"});
     }
     if (is_blank(line.text)) continue;
     const auto fields = blank_separated(line.text, 10);

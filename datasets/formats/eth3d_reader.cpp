@@ -27,10 +27,10 @@ Calibration choose_calibration(const std::filesystem::path& path) {
   const std::filesystem::path images[] = {path / "images" / "dslr_images",
                                           path / "images" / "dslr_images_undistorted"};
   for (int i = 0; i < 2; ++i) {
-    if (std::filesystem::is_directory(choices[i].model) && !list_images(images[i]).empty()) return choices[i];
+    if (is_folder(choices[i].model) && !list_images(images[i]).empty()) return choices[i];
   }
   for (const Calibration& choice : choices) {
-    if (std::filesystem::is_directory(choice.model)) return choice;
+    if (is_folder(choice.model)) return choice;
   }
   return {};
 }
@@ -41,7 +41,7 @@ using LensesByName = std::map<std::string, LensCamera>;
 LensesByName distorted_lenses(const std::filesystem::path& path) {
   LensesByName lenses;
   const auto folder = path / "dslr_calibration_jpg";
-  if (!std::filesystem::is_regular_file(folder / "images.txt")) return lenses;
+  if (!is_file(folder / "images.txt")) return lenses;
   const ColmapModel model = read_colmap_model(folder, ColmapForm::kText);
   for (const ColmapImage& image : model.images) {
     const std::string where = folder.string() + " " + image.name;
@@ -72,18 +72,18 @@ Scene Eth3dReader::read(const std::filesystem::path& path, const SceneReading& r
     const std::string where = calibration.model.string() + " " + image.name;
     builder.add(where, [&]() -> std::optional<Frame> {
       const auto file = inside(path / "images", image.name, where);
-      if (!std::filesystem::is_regular_file(file)) {
+      if (!is_file(file)) {
         builder.add_missing(file);
         return std::nullopt;
       }
       FrameRecord record = colmap_record(model, image, file, where);
       const auto depth = depth_folder / file.filename();
       const auto lens = distorted.find(file.filename().string());
-      if (std::filesystem::is_regular_file(depth) && calibration.distorted) {
+      if (is_file(depth) && calibration.distorted) {
         record.load_depth = [depth, width = record.camera_width, height = record.camera_height] {
           return read_depth_raw(depth, width, height);
         };
-      } else if (std::filesystem::is_regular_file(depth) && lens != distorted.end()) {
+      } else if (is_file(depth) && lens != distorted.end()) {
         Camera ideal;
         ideal.width = record.camera_width;
         ideal.height = record.camera_height;

@@ -40,6 +40,16 @@ std::vector<std::filesystem::path> listed(const std::filesystem::path& folder, c
 
 }  // namespace
 
+bool is_file(const std::filesystem::path& path) {
+  std::error_code error;
+  return std::filesystem::is_regular_file(path, error);
+}
+
+bool is_folder(const std::filesystem::path& path) {
+  std::error_code error;
+  return std::filesystem::is_directory(path, error);
+}
+
 bool natural_less(const std::string& a, const std::string& b) {
   size_t i = 0;
   size_t j = 0;
@@ -79,27 +89,27 @@ bool is_image_name(const std::filesystem::path& file) {
 
 std::vector<std::filesystem::path> list_images(const std::filesystem::path& folder) {
   return listed(folder, [](const std::filesystem::directory_entry& entry) {
-    return is_image_name(entry.path()) && entry.is_regular_file();
+    return is_image_name(entry.path()) && is_file(entry.path());
   });
 }
 
 std::vector<std::filesystem::path> list_files(const std::filesystem::path& folder,
                                               const std::string& extension) {
   return listed(folder, [&](const std::filesystem::directory_entry& entry) {
-    return entry.path().extension() == extension && entry.is_regular_file();
+    return entry.path().extension() == extension && is_file(entry.path());
   });
 }
 
 std::vector<std::filesystem::path> list_folders(const std::filesystem::path& folder) {
-  return listed(folder, [](const std::filesystem::directory_entry& entry) { return entry.is_directory(); });
+  return listed(folder,
+                [](const std::filesystem::directory_entry& entry) { return is_folder(entry.path()); });
 }
 
 std::filesystem::path find_image(const std::filesystem::path& folder, const std::string& stem) {
   for (const auto& change : {lower, upper}) {
     for (const std::string& extension : image_extensions()) {
       std::filesystem::path file = folder / (stem + change(extension));
-      std::error_code error;
-      if (std::filesystem::is_regular_file(file, error)) return file;
+      if (is_file(file)) return file;
     }
   }
   return {};
@@ -108,7 +118,7 @@ std::filesystem::path find_image(const std::filesystem::path& folder, const std:
 std::filesystem::path find_image_folder(const std::filesystem::path& scene, const std::string& asked_for) {
   if (!asked_for.empty()) {
     std::filesystem::path folder = inside(scene, asked_for, "--image-folder");
-    if (!std::filesystem::is_directory(folder)) {
+    if (!is_folder(folder)) {
       fail({folder.string(), "a folder of images", "nothing", "choose another --image-folder"});
     }
     return folder;

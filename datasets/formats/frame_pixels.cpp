@@ -7,6 +7,8 @@
 #include <cstring>
 #include <utility>
 
+#include <fmt/format.h>
+
 namespace gld {
 namespace {
 
@@ -43,12 +45,22 @@ std::vector<Value> nearest(const std::vector<Value>& source, const Undistorter::
   return result;
 }
 
-void fit(std::vector<float>& values, int64_t& width, int64_t& height, const Undistorter::Size& to) {
+// Brings depth or a mask to the size of its picture; one of another aspect belongs to another picture, or to this one as
+// it was before it was turned.
+template <class Value>
+void fit(std::vector<Value>& values, int64_t& width, int64_t& height, const Undistorter::Size& to,
+         const std::filesystem::path& picture) {
   if (width == to.width && height == to.height) return;
   if (width < 1 || height < 1 || values.size() != static_cast<size_t>(width * height)) {
-    fail({"depth or mask", "a value for every pixel",
+    fail({"depth or mask of " + picture.string(), "a value for every pixel",
           std::to_string(values.size()) + " values for " + size_text(width, height),
           "check what made the file"});
+  }
+  if (!same_aspect(static_cast<double>(to.width) / static_cast<double>(width),
+                   static_cast<double>(to.height) / static_cast<double>(height))) {
+    fail({"depth or mask of " + picture.string(),
+          "the size of the picture " + size_text(to.width, to.height) + " or a scaled copy",
+          size_text(width, height), "check that it belongs to this picture and is turned as it is"});
   }
   values = nearest(values, {width, height}, to);
   width = to.width;
@@ -74,6 +86,12 @@ Frame FrameMaker::make(const FrameRecord& record) {
 
   std::shared_ptr<const Undistorter> undistorter;
   if (!record.lens.ideal()) {
+    constexpr int64_t kLargestSide = 32766;  // that OpenCV's remap takes
+    if (std::max(fitted.width, fitted.height) > kLargestSide) {
+      fail({record.image_file.string(),
+            fmt::format("at most {} pixels a side where a lens has to be undone", kLargestSide),
+            size_text(fitted.width, fitted.height), "undistort it before, or reduce it"});
+    }
     const LensCamera source{fitted.width, fitted.height, frame.camera.intrinsics, record.lens};
     auto& shared = undistortions_[undistorter_key(source)];
     if (!shared.undistorter) {
@@ -100,20 +118,16 @@ Frame FrameMaker::make(const FrameRecord& record) {
   };
   const Undistorter::Size size{fitted.width, fitted.height};
   if (record.load_depth) {
-    frame.load_depth = [load = record.load_depth, size, undistorter] {
+    frame.load_depth = [load = record.load_depth, size, undistorter, file] {
       DepthMap depth = load();
-      fit(depth.metres, depth.width, depth.height, size);
+      fit(depth.metres, depth.width, depth.height, size, file);
       return undistorter ? undistorter->depth(depth) : depth;
     };
   }
   if (record.load_validity) {
-    frame.load_validity = [load = record.load_validity, size, undistorter] {
+    frame.load_validity = [load = record.load_validity, size, undistorter, file] {
       ValidityMask mask = load();
-      if (mask.width != size.width || mask.height != size.height) {
-        mask.valid = nearest(mask.valid, {mask.width, mask.height}, size);
-        mask.width = size.width;
-        mask.height = size.height;
-      }
+      fit(mask.valid, mask.width, mask.height, size, file);
       return undistorter ? undistorter->validity(mask) : mask;
     };
   } else if (undistorter) {

@@ -41,7 +41,7 @@ std::map<std::string, std::string> camera_parameters(const std::filesystem::path
   auto folder = std::filesystem::absolute(scene).lexically_normal();
   for (int level = 0; level < 4; ++level) {
     const auto file = folder / "metadata_camera_parameters.csv";
-    if (std::filesystem::is_regular_file(file)) return table_row(file, name);
+    if (is_file(file)) return table_row(file, name);
     folder = folder.parent_path();
   }
   return {};
@@ -49,7 +49,7 @@ std::map<std::string, std::string> camera_parameters(const std::filesystem::path
 
 double scene_scale(const std::filesystem::path& scene) {
   const auto file = scene / "_detail" / "metadata_scene.csv";
-  if (!std::filesystem::is_regular_file(file)) return 0;
+  if (!is_file(file)) return 0;
   for (const TextLine& line : read_lines(file)) {
     const auto fields = comma_separated(line.text);
     if (fields.size() == 2 && fields[0] == "meters_per_asset_unit") {

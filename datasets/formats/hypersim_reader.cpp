@@ -61,7 +61,7 @@ std::filesystem::path colour_file(const std::filesystem::path& images, const std
         std::pair("final_preview", "color.jpg")}) {
     auto file =
         images / fmt::format("scene_{}_{}", camera, folder) / fmt::format("frame.{:04}.{}", frame, ending);
-    if (std::filesystem::is_regular_file(file)) return file;
+    if (is_file(file)) return file;
   }
   return {};
 }
@@ -100,7 +100,7 @@ std::map<int64_t, Eigen::Matrix4d> read_hypersim_trajectory(const std::filesyste
   check_shape(orientations, {count, 3, 3}, orientation_file);
   std::vector<float> frames;
   const auto index_file = folder / "camera_keyframe_frame_indices.hdf5";
-  if (std::filesystem::is_regular_file(index_file)) {
+  if (is_file(index_file)) {
     const Hdf5Array indices = read_hdf5_array(index_file, "dataset", kMostKeyframes);
     check_shape(indices, {count}, index_file);
     frames = indices.values;
@@ -128,7 +128,7 @@ bool HypersimReader::recognises(const std::filesystem::path& path) const { retur
 std::vector<std::string> HypersimReader::parts(const std::filesystem::path& path) const {
   std::vector<std::string> cameras;
   for (const auto& folder : list_folders(path / "_detail")) {
-    if (std::filesystem::is_regular_file(folder / "camera_keyframe_positions.hdf5")) {
+    if (is_file(folder / "camera_keyframe_positions.hdf5")) {
       cameras.push_back(folder.filename().string());
     }
   }
@@ -151,7 +151,7 @@ Scene HypersimReader::read(const std::filesystem::path& path, const SceneReading
     const auto colour = colour_file(path / "images", camera, frame_number);
     const auto depth = path / "images" / fmt::format("scene_{}_geometry_hdf5", camera) /
                        fmt::format("frame.{:04}.depth_meters.hdf5", frame_number);
-    const bool has_depth = std::filesystem::is_regular_file(depth);
+    const bool has_depth = is_file(depth);
     if (colour.empty() && !has_depth) {
       builder.add_missing(path / "images" / fmt::format("scene_{}_final_hdf5", camera) /
                           fmt::format("frame.{:04}.color.hdf5", frame_number));

@@ -9,9 +9,11 @@
 
 #include <algorithm>
 #include <cmath>
+#include <numeric>
 #include <optional>
 
 #include <Eigen/LU>
+#include <fmt/format.h>
 
 namespace gld {
 namespace {
@@ -21,7 +23,7 @@ using nlohmann::json;
 std::filesystem::path transforms_file(const std::filesystem::path& path) {
   for (const auto& file : {path, path / "transforms.json", path / "transforms_train.json",
                            path / "nerfstudio" / "transforms.json"}) {
-    if (file.extension() == ".json" && std::filesystem::is_regular_file(file)) return file;
+    if (file.extension() == ".json" && is_file(file)) return file;
   }
   return {};
 }
@@ -119,12 +121,12 @@ std::filesystem::path find_listed(const std::filesystem::path& folder, const std
                                   const std::filesystem::path& image_folder, const std::string& where) {
   auto file = inside(folder, listed, where);
   if (image_folder.empty()) {
-    if (std::filesystem::is_regular_file(file)) return file;
+    if (is_file(file)) return file;
     if (!is_image_name(file)) return find_image(file.parent_path(), file.filename().string());
     return {};
   }
   auto moved = image_folder / file.filename();
-  if (std::filesystem::is_regular_file(moved)) return moved;
+  if (is_file(moved)) return moved;
   return find_image(image_folder, file.stem().string());
 }
 
@@ -183,6 +185,22 @@ std::function<DepthMap()> depth_loader(const std::filesystem::path& file, std::o
   };
 }
 
+// Returns the numbers of the frames in the order of their files' names, in which frames are counted; those without one
+// keep their place.
+std::vector<size_t> in_order_of_names(const json& frames) {
+  std::vector<std::string> names;
+  for (const json& frame : frames) {
+    const auto listed = frame.is_object() ? frame.find("file_path") : frame.end();
+    names.push_back(
+        frame.is_object() && listed != frame.end() && listed->is_string() ? listed->get<std::string>() : "");
+  }
+  std::vector<size_t> order(names.size());
+  std::iota(order.begin(), order.end(), 0);
+  std::stable_sort(order.begin(), order.end(),
+                   [&](size_t a, size_t b) { return natural_less(names[a], names[b]); });
+  return order;
+}
+
 }  // namespace
 
 bool NerfstudioReader::recognises(const std::filesystem::path& path) const {
@@ -218,7 +236,10 @@ Scene NerfstudioReader::read(const std::filesystem::path& path, const SceneReadi
   const auto depth_unit = content.contains("depth_unit_scale_factor")
                               ? std::optional(json_number(content, "depth_unit_scale_factor", where))
                               : std::nullopt;
-  for (size_t i = 0; i < frames.size(); ++i) {
+  if (depth_unit && !(*depth_unit > 0 && std::isfinite(*depth_unit))) {
+    fail({where, "a positive \"depth_unit_scale_factor\"", fmt::format("{:g}", *depth_unit), "correct it"});
+  }
+  for (const size_t i : in_order_of_names(frames)) {
     const json& frame = frames[i];
     const std::string frame_where = where + " frame " + std::to_string(i);
     builder.add(frame_where, [&]() -> std::optional<Frame> {

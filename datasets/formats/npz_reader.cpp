@@ -20,9 +20,8 @@ std::filesystem::path npz_beside(const std::filesystem::path& image) {
 bool has_camera_files(const std::filesystem::path& folder) {
   const auto images = list_images(folder);
   const auto few = images.begin() + static_cast<std::ptrdiff_t>(std::min<size_t>(images.size(), 16));
-  return std::any_of(images.begin(), few, [](const std::filesystem::path& image) {
-    return std::filesystem::is_regular_file(npz_beside(image));
-  });
+  return std::any_of(images.begin(), few,
+                     [](const std::filesystem::path& image) { return is_file(npz_beside(image)); });
 }
 
 // Returns the folder that holds images and .npz, or empty.
@@ -36,7 +35,7 @@ std::filesystem::path frame_folder(const std::filesystem::path& path, const std:
       for (const auto& folder : candidates) {
         if (has_camera_files(folder)) return folder;
       }
-    } else if (std::filesystem::is_directory(inside(scene, asked_for, "image_folder"))) {
+    } else if (is_folder(inside(scene, asked_for, "image_folder"))) {
       return scene / asked_for;
     }
   }
@@ -72,7 +71,7 @@ Scene NpzReader::read(const std::filesystem::path& path, const SceneReading& rea
   FrameMaker maker;
   for (const auto& image : list_images(folder)) {
     const auto file = npz_beside(image);
-    if (!std::filesystem::is_regular_file(file)) {
+    if (!is_file(file)) {
       builder.add_missing(file);
       continue;
     }

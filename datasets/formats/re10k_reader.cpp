@@ -19,7 +19,7 @@ constexpr size_t kFields = 19;
 
 bool is_camera_file(const std::filesystem::path& file) {
   std::error_code error;
-  if (file.extension() != ".txt" || !std::filesystem::is_regular_file(file, error)) return false;
+  if (file.extension() != ".txt" || !is_file(file)) return false;
   std::ifstream stream(file);
   char start[4] = {};
   stream.read(start, 4);

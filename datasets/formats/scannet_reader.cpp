@@ -64,11 +64,11 @@ ScanCamera camera_with(const Eigen::Matrix3d& intrinsics, const std::string& whe
 
 ScanCamera camera_of_scan(const std::filesystem::path& scan) {
   const auto file = scan / "intrinsic" / "intrinsic_color.txt";
-  if (std::filesystem::is_regular_file(file)) {
+  if (is_file(file)) {
     return camera_with(matrix_of_file(file).topLeftCorner<3, 3>(), file.string());
   }
   const auto all = scan / ".." / "intrinsics.npz";
-  if (!std::filesystem::is_regular_file(all)) {
+  if (!is_file(all)) {
     fail({scan.string(), "intrinsic/intrinsic_color.txt, or intrinsics.npz beside the scan", "neither",
           "export the scan again"});
   }
@@ -96,7 +96,7 @@ void add_frames(SceneBuilder& builder, const std::filesystem::path& scan,
   for (const std::string& number : frames) {
     const auto image = find_image(scan / "color", number);
     const auto pose_file = scan / "pose" / (number + ".txt");
-    if (image.empty() || !std::filesystem::is_regular_file(pose_file)) {
+    if (image.empty() || !is_file(pose_file)) {
       builder.add_missing(image.empty() ? scan / "color" / (number + ".jpg") : pose_file);
       continue;
     }
@@ -114,7 +114,7 @@ void add_frames(SceneBuilder& builder, const std::filesystem::path& scan,
       record.camera_height = camera.height;
       record.world_from_camera = checked_pose(pose, pose_file.string());
       const auto depth = scan / "depth" / (number + ".png");
-      if (std::filesystem::is_regular_file(depth)) {
+      if (is_file(depth)) {
         record.load_depth = [depth] { return read_depth_png(depth, kMetresPerUnit); };
       }
       return maker.make(record);
@@ -194,7 +194,7 @@ std::vector<FramePair> pairs_of_text(const std::filesystem::path& file) {
 // Returns the list in that folder, or nothing.
 std::filesystem::path pair_list(const std::filesystem::path& path) {
   for (const char* name : {"test.npz", "scannet_test_pairs_with_gt.txt"}) {
-    if (std::filesystem::is_regular_file(path / name)) return path / name;
+    if (is_file(path / name)) return path / name;
   }
   return {};
 }
@@ -220,7 +220,7 @@ bool has_scans(const std::filesystem::path& path) {
 }  // namespace
 
 bool ScannetReader::recognises(const std::filesystem::path& path) const {
-  return std::filesystem::is_directory(path / "color") && !list_files(path / "pose", ".txt").empty();
+  return is_folder(path / "color") && !list_files(path / "pose", ".txt").empty();
 }
 
 Scene ScannetReader::read(const std::filesystem::path& path, const SceneReading& reading) const {

@@ -17,7 +17,7 @@ SceneBuilder::SceneBuilder(std::string format, const std::filesystem::path& fold
     : broken_frames_(reading.broken_frames) {
   scene_.format = std::move(format);
   scene_.folder = folder;
-  scene_.name = std::filesystem::is_directory(folder) ? folder_name(folder) : folder.stem().string();
+  scene_.name = is_folder(folder) ? folder_name(folder) : folder.stem().string();
 }
 
 void SceneBuilder::add(const std::string& where, const std::function<std::optional<Frame>()>& make) {
@@ -89,11 +89,7 @@ Scene SceneBuilder::finish() {
   return std::move(scene_);
 }
 
-namespace {
-
 bool same_aspect(double scale_x, double scale_y) { return std::abs(scale_x / scale_y - 1) < 0.02; }
-
-}  // namespace
 
 FittedImage fit_image(const std::filesystem::path& file, int64_t camera_width, int64_t camera_height) {
   const ImageFileInfo info = probe_image_file(file);

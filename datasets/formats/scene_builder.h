@@ -43,6 +43,9 @@ struct FittedImage {
   double scale_y = 1;
 };
 
+// Returns whether a picture that is so many times as wide and high as another one is a scaled copy of it, to 2 %.
+bool same_aspect(double scale_x, double scale_y);
+
 // Finds how an image file fits a camera of camera_width x camera_height (0 x 0: not known): the same size, or a smaller
 // or larger copy (within 2 % of the same aspect), stored upright or turned by EXIF. When the camera's size is not known
 // or both fit, the picture is taken as stored. Throws Error when neither fits.

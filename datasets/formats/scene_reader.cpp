@@ -159,10 +159,16 @@ std::vector<SceneLocation> list_scenes(const std::filesystem::path& root, const 
   if (!std::filesystem::exists(root, error)) fail_missing_scene(root);
   std::vector<SceneLocation> found;
   collect_scenes(root, reading, 0, found);
+  // It knows what is missing of it.
+  if (found.empty() && reading.format != "auto") {
+    for (const std::string& part : scene_reader(reading.format).parts(root)) found.push_back({root, part});
+  }
   if (found.empty()) {
     refuse_bare_photographs(root);
     fail({root.string(), "at least one scene", "none",
-          "check the folder; gld check-data --format forces a layout and says what is missing"});
+          reading.format == "auto"
+              ? "check the folder; gld check-data --format forces a layout and says what is missing"
+              : "check the folder, or choose another --format"});
   }
   return found;
 }

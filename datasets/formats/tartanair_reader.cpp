@@ -46,7 +46,7 @@ Eigen::Isometry3d pose_of_row(const TextLine& row) {
 }  // namespace
 
 bool TartanAirReader::recognises(const std::filesystem::path& path) const {
-  return std::filesystem::is_regular_file(path / "pose_left.txt");
+  return is_file(path / "pose_left.txt");
 }
 
 Scene TartanAirReader::read(const std::filesystem::path& path, const SceneReading& reading) const {
@@ -69,7 +69,7 @@ Scene TartanAirReader::read(const std::filesystem::path& path, const SceneReadin
       record.intrinsics = intrinsic_matrix(320, 320, 320, 240);
       record.world_from_camera = pose_of_row(rows[i]);
       const auto depth = path / "depth_left" / (record.name + "_depth.npy");
-      if (std::filesystem::is_regular_file(depth)) {
+      if (is_file(depth)) {
         record.load_depth = [depth] { return read_depth_npy(depth); };
       }
       return maker.make(record);

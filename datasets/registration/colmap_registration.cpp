@@ -57,6 +57,26 @@ class ColmapProgram {
                                   : "take --photo-cameras features"});
   }
 
+  // Returns that option under the first of these names that the command's own help has, else under the last: COLMAP 3.13
+  // calls some otherwise than those before.
+  std::string option_of(const std::string& command, const std::vector<std::string>& names) const {
+    const std::filesystem::path file = folder_.path() / ("help_" + command + ".txt");
+    if (!std::filesystem::exists(file)) {
+      ChildProcess process({options_.program.string(), command, "--help"}, file, -1);
+      while (!process.poll()) {
+        stop_if_interrupted("while COLMAP registered photographs");
+        const std::chrono::duration<double> taken = std::chrono::steady_clock::now() - start_;
+        if (taken.count() > options_.timeout) break;  // which the command itself will say
+        std::this_thread::sleep_for(std::chrono::milliseconds(10));
+      }
+    }
+    const std::string help = read_file(file);
+    const auto known = std::find_if(names.begin(), names.end(), [&](const std::string& name) {
+      return help.find(name) != std::string::npos;
+    });
+    return "--" + (known == names.end() ? names.back() : *known);
+  }
+
  private:
   std::string last_words() const {
     if (options_.keeps_failures) {
@@ -212,6 +232,12 @@ Registration register_by_colmap(const std::vector<UnregisteredPhotograph>& photo
   const FirstFocalLengths first = first_focal_lengths(photographs, options, where);
   const ColmapProgram colmap(options, folder, where);
   const std::string threads = std::to_string(options.threads);
+  const auto of_extraction = [&](const std::string& name) {
+    return colmap.option_of("feature_extractor", {"FeatureExtraction." + name, "SiftExtraction." + name});
+  };
+  const auto of_matching = [&](const std::string& name) {
+    return colmap.option_of("exhaustive_matcher", {"FeatureMatching." + name, "SiftMatching." + name});
+  };
   // A camera of COLMAP's has one size: where photographs of one lens have several, each size has its own.
   std::map<std::array<int64_t, 3>, std::vector<size_t>> cameras;
   for (size_t i = 0; i < photographs.size(); ++i) {
@@ -232,9 +258,9 @@ Registration register_by_colmap(const std::vector<UnregisteredPhotograph>& photo
                                        "1",
                                        "--ImageReader.camera_model",
                                        "SIMPLE_RADIAL",
-                                       "--SiftExtraction.use_gpu",
+                                       of_extraction("use_gpu"),
                                        "0",
-                                       "--SiftExtraction.num_threads",
+                                       of_extraction("num_threads"),
                                        threads};
     const UnregisteredPhotograph& photograph = photographs[members.front()];
     const auto focal_length = first.of_lens.find(photograph.lens);
@@ -247,8 +273,8 @@ Registration register_by_colmap(const std::vector<UnregisteredPhotograph>& photo
     }
     colmap.run("feature_extractor", arguments);
   }
-  colmap.run("exhaustive_matcher", {"--database_path", database, "--SiftMatching.use_gpu", "0",
-                                    "--SiftMatching.num_threads", threads});
+  colmap.run("exhaustive_matcher",
+             {"--database_path", database, of_matching("use_gpu"), "0", of_matching("num_threads"), threads});
   // A handful of photographs shares fewer points, under smaller angles, than COLMAP asks of collections.
   colmap.run("mapper", {"--database_path",
                         database,

@@ -20,7 +20,7 @@ struct ColmapRegistrationOptions {
 std::filesystem::path found_colmap();
 
 // Finds cameras by COLMAP (Schoenberger & Frahm 2016) as a program of its own, on the CPU, in a temporary folder.
-// Throws Error where it fails or takes too long, with the place of what it printed, and where
+// Throws Error where it fails or takes too long, with the place of what it printed or its last line, and where
 // fewer than two photographs register (it is not); where names the option in it.
 Registration register_by_colmap(const std::vector<UnregisteredPhotograph>& photographs,
                                 const ColmapRegistrationOptions& options, const std::string& where);

@@ -3,11 +3,13 @@
 #include "datasets/images/decoded_pixels.h"
 #include "gld/base/error.h"
 
+#include <algorithm>
 #include <cmath>
 #include <sstream>
 
 #include <Eigen/LU>
 #include <Eigen/SVD>
+#include <fmt/format.h>
 
 namespace gld {
 namespace {
@@ -75,6 +77,12 @@ void check_frame_camera(const Camera& camera, const std::string& where) {
           std::to_string(camera.width) + "x" + std::to_string(camera.height), "check the camera's size"});
   }
   check_picture_size(camera.width, camera.height, where);
+  constexpr int64_t kLongest =
+      32;  // of the other side: resized to fill a trained size, a line of pixels would take gigabytes
+  if (std::max(camera.width, camera.height) > kLongest * std::min(camera.width, camera.height)) {
+    fail({where, fmt::format("a picture at most {} times as long as wide", kLongest),
+          std::to_string(camera.width) + "x" + std::to_string(camera.height), "cut it"});
+  }
   // Beyond these, single precision gives depths of 0 or infinity without a word.
   constexpr double kFarthest = 1e12, kLongestFocal = 1e6;
   const double far = camera.world_from_camera.translation().cwiseAbs().maxCoeff();

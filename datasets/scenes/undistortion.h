@@ -32,17 +32,25 @@ class Undistorter {
   ValidityMask validity(const ValidityMask& source) const;  // and where that pixel is valid
 
  private:
-  struct Table {
-    std::vector<float> x;  // pixel centres at whole numbers, as cv::remap wants them
+  // Positions of pixel centres, at whole numbers, as cv::remap wants them: of the ideal picture's rows, or of every few
+  // pixels of it.
+  struct Positions {
+    std::vector<float> x;
     std::vector<float> y;
+    void resize(int64_t count);
   };
-  const Table& table() const;
+  const Positions& nodes() const;
+  // Returns where the source has these rows of the ideal picture, row by row.
+  Positions positions(int64_t first_row, int64_t rows) const;
+  Eigen::Vector2f position(int64_t x, int64_t y) const;
+  // Calls done(row, positions of that row) for each of them.
+  void for_rows(const std::function<void(int64_t row, const Positions& row_positions)>& done) const;
 
   Size ideal_;
   Size source_;
   PixelMapping mapping_;
   mutable std::once_flag made_;
-  mutable Table table_;
+  mutable Positions nodes_;  // kept as long as the frames are: of a sixteenth of the pixels
 };
 
 // The usual case: a camera with distortion, and the ideal camera with its own intrinsics (often the same).

@@ -183,6 +183,7 @@ class Hdf5Parser {
       const uint8_t* key = body + i * (key_size + 8);
       const auto child = load<uint64_t>(key + key_size);
       if (header[5] == 0) {
+        if (++nodes_seen_ > kMostTreeNodes) damaged();  // a leaf may be the child of many
         visit(key, child);
       } else {
         walk_node(child, kind, key_size, static_cast<uint8_t>(header[5] - 1), visit);
@@ -202,6 +203,7 @@ class Hdf5Parser {
       constexpr uint64_t kEntry = 40;
       const uint64_t count = number<uint16_t>(leaf + 6);
       const uint8_t* entries = at(leaf + 8, count * kEntry);
+      nodes_seen_ += count;
       for (uint64_t i = 0; i < count; ++i) {
         const uint8_t* entry = entries + i * kEntry;
         const auto name = load<uint64_t>(entry);

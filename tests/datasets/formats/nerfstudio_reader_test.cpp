@@ -148,7 +148,7 @@ TEST_F(Nerfstudio, MissingFilesAreCounted) {
   std::filesystem::remove_all(folder_.path() / "images");
   EXPECT_EQ(error(), folder_.path().string() +
                          ": expected at least one frame, found 3 listed files that do not exist, the first " +
-                         (folder_.path() / "images" / "frame_2.png").string() +
+                         (folder_.path() / "images" / "frame_1.png").string() +
                          "; check that images and cameras belong together.");
 }
 
@@ -182,15 +182,15 @@ TEST_F(Nerfstudio, DamagedFiles) {
   content_["frames"][1]["transform_matrix"] = pose(1);
   content_["camera_model"] = "EQUIRECTANGULAR";
   EXPECT_EQ(error(), file().string() +
-                         " frame 0: expected camera_model OPENCV, OPENCV_FISHEYE, PINHOLE or SIMPLE_PINHOLE, "
+                         " frame 2: expected camera_model OPENCV, OPENCV_FISHEYE, PINHOLE or SIMPLE_PINHOLE, "
                          "found EQUIRECTANGULAR; undistort the images first.");
   content_.erase("camera_model");
   content_.erase("fl_x");
   EXPECT_EQ(error(), file().string() +
-                         " frame 0: expected fl_x or camera_angle_x, found neither; add the focal length.");
+                         " frame 2: expected fl_x or camera_angle_x, found neither; add the focal length.");
   content_["fl_x"] = "wide";
   EXPECT_EQ(error(),
-            file().string() + " frame 0: expected a number as \"fl_x\", found \"wide\"; correct the value.");
+            file().string() + " frame 2: expected a number as \"fl_x\", found \"wide\"; correct the value.");
   content_["fl_x"] = 0;
   EXPECT_EQ(error().substr(error().find(": ")),
             ": expected positive focal lengths, found fx 0 and fy 51; check the intrinsics.");

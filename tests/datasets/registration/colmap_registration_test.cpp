@@ -83,6 +83,29 @@ TEST_F(ColmapRegistration, ReadsTheLargestModelAndNamesWhatIsNotInIt) {
   EXPECT_THAT(commands, HasSubstr("exhaustive_matcher --database_path"));
 }
 
+// COLMAP 3.13 has other names for what is not of SIFT alone.
+TEST_F(ColmapRegistration, OptionsAreNamedAsItsOwnHelpNamesThem) {
+  const auto asked = folder_.path() / "asked.txt";
+  const auto newer = standing_in(
+      "if [ \"$2\" = --help ]; then\n  echo '  --FeatureExtraction.use_gpu arg (=1)'\n"
+      "  echo '  --FeatureMatching.num_threads arg (=-1)'\n  exit 0\nfi\n"
+      "echo \"$@\" >>" +
+      asked.string() + "\n");
+  refusal(newer);  // it finds nothing
+  const std::string commands = read_file(asked);
+  EXPECT_THAT(commands, HasSubstr("--FeatureExtraction.use_gpu 0 --SiftExtraction.num_threads"));
+  EXPECT_THAT(commands, HasSubstr("--SiftMatching.use_gpu 0 --FeatureMatching.num_threads"));
+}
+
+TEST_F(ColmapRegistration, AFailureThatNobodyAskedForLeavesNothingBehind) {
+  auto failing = standing_in("echo no; echo never; exit 3\n");
+  failing.keeps_failures = false;
+  EXPECT_EQ(
+      refusal(failing),
+      "--photo-cameras: expected COLMAP's feature_extractor to succeed, found exit status 3; it printed at last: "
+      "never; take --photo-cameras features.");
+}
+
 TEST_F(ColmapRegistration, SaysInASentenceWhatWentWrong) {
   const auto failing = standing_in("echo no; exit 3\n");
   const std::string refused = refusal(failing);
