@@ -8,8 +8,12 @@
 
 namespace gld {
 
-void visit_out(FieldVisitor& visitor, std::string& out, bool& overwrite) {
+void visit_out(FieldVisitor& visitor, std::string& out) {
   visitor.text({"out", "folder to write into: a new one, or see --overwrite"}, out);
+}
+
+void visit_out(FieldVisitor& visitor, std::string& out, bool& overwrite) {
+  visit_out(visitor, out);
   visitor.boolean(
       {"overwrite", "begin anew: what an earlier run of this command wrote goes with the first result"},
       overwrite);

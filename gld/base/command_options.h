@@ -15,6 +15,7 @@ constexpr int64_t kMostThreads = 4096;
 
 // --out is the folder a command writes into; --overwrite says whether an earlier run of the command in it is removed
 // first.
+void visit_out(FieldVisitor& visitor, std::string& out);
 void visit_out(FieldVisitor& visitor, std::string& out, bool& overwrite);
 // Throws Error for an empty one; example is such a folder, "runs/sample".
 void check_out(const std::string& out, const std::string& example);

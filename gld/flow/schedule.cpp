@@ -71,6 +71,14 @@ std::vector<double> karras_times(const ScheduleOptions& options, int64_t steps) 
   });
 }
 
+void check_end(const std::vector<double>& times, const std::string& where) {
+  // Beyond this a state is more noise than data: x = (1 - t) data + t noise.
+  constexpr double kLatestEnd = 0.5;
+  if (times.back() <= kLatestEnd) return;
+  fail({where, fmt::format("times that end at 0, or near it (at most {})", kLatestEnd),
+        fmt::format("{}", times.back()), "go on with the times down to 0, or the images are noise"});
+}
+
 std::vector<double> times_of_file(const std::string& file) {
   constexpr uint64_t kLimit = uint64_t{1} << 24;
   std::string text = read_file(file, kLimit);
@@ -93,12 +101,12 @@ std::vector<double> times_of_file(const std::string& file) {
     at = end;
   }
   check_times(times, file);
-  // Beyond this a state is more noise than data: x = (1 - t) data + t noise.
-  constexpr double kLatestEnd = 0.5;
-  if (times.back() > kLatestEnd) {
-    fail({file, fmt::format("times that end at 0, or near it (at most {})", kLatestEnd),
-          fmt::format("{}", times.back()), "go on with the times down to 0, or the images are noise"});
+  // What a solve begins with is noise alone.
+  if (times.front() != 1) {
+    fail({file, "times that begin at 1, where there is noise alone", fmt::format("{}", times.front()),
+          "begin with 1"});
   }
+  check_end(times, file);
   return times;
 }
 
@@ -129,7 +137,10 @@ void ScheduleOptions::check() const {
   }
 }
 
-double shifted_time(double time, double shift) { return shift * time / (1 + (shift - 1) * time); }
+double shifted_time(double time, double shift) {
+  // s t / (1 + (s - 1) t), in the form that is 0 and 1 at the ends for every s > 0, small ones too.
+  return shift * time / (shift * time + (1 - time));
+}
 
 LogSnrEndPoints log_snr_end_points(int64_t steps) {
   const double n = static_cast<double>(std::max<int64_t>(steps, 2));

@@ -28,8 +28,8 @@ bool read_side(const char*& position, const char* end, int64_t& side) {
 void check_geometry_head(const GeometryHeadOptions& head, const BackboneOptions& backbone) {
   if (!head.exists()) return;
   const auto& architecture = head.architecture();
-  if (backbone.levels() < 4) {
-    fail({"dpt_head.type", "none for a backbone with fewer than four levels", architecture.kind(),
+  if (backbone.levels() != 4) {
+    fail({"dpt_head.type", "none for a backbone with other than four levels", architecture.kind(),
           "set dpt_head: {type: none}; geometry then comes from gld sample --geometry-model"});
   }
   require_equal("dpt_head.dim_in", architecture.level_channels(), backbone.level_channels(),

@@ -25,7 +25,10 @@ namespace {
 
 using nlohmann::ordered_json;
 
+namespace fs = std::filesystem;
+
 const std::string kReportFile = "conversion.json";
+const std::string kModelFile = "model.yaml";
 
 // A part that a source file gives.
 struct SourcePart {
@@ -283,7 +286,10 @@ void convert_renamed_backbone(const ConversionOptions& options, const BundleOpti
           tensor.numel() == target->second.numel()) {
         tensor = tensor.view(target->second.sizes());
       }
-      tensors[name] = tensor;
+      if (!tensors.emplace(name, tensor).second) {
+        fail({path, "one tensor '" + name + "'", "a second one, here or in a file before it",
+              "give one file of each half, or convert them into two folders"});
+      }
     }
     for (const auto& name : published.ignored) {
       if (ignored.count(name.name) == 0) continue;
@@ -297,9 +303,13 @@ void convert_renamed_backbone(const ConversionOptions& options, const BundleOpti
 
 // GLD's dpt_decoder.pt holds, under model.decoder. and model.pred., tensors of a DA3 head that take the place of the
 // published head's; the others stay.
-void replace_head(const ConversionOptions& options, const BundleOptions& bundle, ordered_json& report) {
+void replace_head(const ConversionOptions& options, const BundleOptions& bundle, const fs::path& added_to,
+                  ordered_json& report) {
   const auto file = WeightFile::open(options.dpt_decoder);
-  const auto there = ModelBundle::open(options.out);
+  const auto converted_now = ModelBundle::open(options.out);
+  const auto there = converted_now.has(BundlePart::geometry_head()) || !fs::exists(added_to / kModelFile)
+                         ? converted_now
+                         : ModelBundle::open(added_to);
   if (const auto kind = bundle.geometry_head.architecture().kind(); kind != DptHeadOptions().kind()) {
     fail({options.dpt_decoder, "a model with DA3's head, of which it replaces tensors",
           bundle.geometry_head.exists() ? "one with a head of type " + kind : "one without a geometry head",
@@ -310,13 +320,24 @@ void replace_head(const ConversionOptions& options, const BundleOptions& bundle,
     const auto head = WeightFile::open(there.file(BundlePart::geometry_head()));
     for (const auto& entry : head->entries()) tensors[entry.name] = read_tensor(*head, entry).clone();
   }
-  int64_t replaced = 0;
+  int64_t replaced = 0, others = 0;
+  const std::vector<std::string> prefixes{"model.decoder.", "model.pred."};
   for (const auto& entry : file->entries()) {
-    for (const std::string prefix : {"model.decoder.", "model.pred."}) {
-      if (entry.name.compare(0, prefix.size(), prefix) != 0) continue;
-      tensors[entry.name.substr(prefix.size())] = converted(*file, entry, stored_dtype(options.store));
-      ++replaced;
+    const auto prefix = std::find_if(prefixes.begin(), prefixes.end(), [&](const std::string& beginning) {
+      return entry.name.rfind(beginning, 0) == 0;
+    });
+    if (prefix == prefixes.end()) {
+      ++others;
+      continue;
     }
+    tensors[entry.name.substr(prefix->size())] = converted(*file, entry, stored_dtype(options.store));
+    ++replaced;
+  }
+  if (others > 0) {
+    report["ignored"].push_back({{"source", options.dpt_decoder},
+                                 {"names", "all but model.decoder.* and model.pred.*"},
+                                 {"tensors", others},
+                                 {"reason", "not of the head that takes the place of the backbone's"}});
   }
   if (replaced == 0) {
     fail({options.dpt_decoder, "tensors model.decoder.* or model.pred.*", "none",
@@ -324,6 +345,7 @@ void replace_head(const ConversionOptions& options, const BundleOptions& bundle,
   }
   auto part = convert_tensors(BundlePart::geometry_head(), tensors, options.dpt_decoder, options, bundle);
   part["replaced"] = replaced;
+  part["kept"] = part["tensors"].get<int64_t>() - replaced;
   report["parts"]["dpt_head"] = std::move(part);
 }
 
@@ -349,12 +371,29 @@ BundleOptions described_bundle(const ConversionOptions& options) {
   return released_da3_options();
 }
 
+// Two models may be of one network, whose files have the same tensors, and differ by a number in model.yaml alone: SD's and
+// SDXL's autoencoders by the scale of their latents.
+void require_no_other_model(const PublishedBackbone& published, const std::string& path,
+                            const BundleOptions& bundle) {
+  const std::string described = to_yaml(bundle.backbone);
+  const auto is_described = [&](const PublishedBackbone& known) {
+    return known.kind == published.kind && to_yaml(known.options().backbone) == described;
+  };
+  if (is_described(published)) return;
+  for (const PublishedBackbone& other : published_backbones()) {
+    if (!is_described(other)) continue;
+    fail({path, "weights of " + other.name + ", which model.yaml describes", "weights of " + published.name,
+          "choose another --out or --description"});
+  }
+}
+
 void check_backbone_files(const ConversionOptions& options, const BundleOptions& bundle) {
   for (const auto& [published, path] : given_backbones(options.backbones)) {
     if (bundle.backbone.architecture().kind() != published.kind) {
       fail({path, "weights of the model's backbone, of kind " + bundle.backbone.architecture().kind(),
             "weights of " + published.name, "choose another --out or --description"});
     }
+    require_no_other_model(published, path, bundle);
     if (published.require_whole) published.require_whole(*WeightFile::open(path), bundle);
   }
 }
@@ -381,36 +420,33 @@ void refuse_other_folder(const std::filesystem::path& folder) {
   }
 }
 
-// Files that a conversion makes in its folder: taken away again where it fails, so that the corrected command finds
-// what the mistaken one found.
-class MadeFiles {
- public:
-  explicit MadeFiles(std::filesystem::path folder) : folder_(std::move(folder)) {
-    std::error_code none;
-    folder_was_there_ = std::filesystem::exists(folder_, none);
-    for (const auto& file : std::filesystem::directory_iterator(folder_, none)) before_.insert(file.path());
-  }
-  void remove() const {
-    std::error_code ignored;
-    std::vector<std::filesystem::path> made;
-    for (const auto& file : std::filesystem::directory_iterator(folder_, ignored)) {
-      if (before_.count(file.path()) == 0 && file.is_regular_file(ignored)) made.push_back(file.path());
+// Returns the report of the conversions before, of other parts and files than these.
+ordered_json earlier_report(const ConversionOptions& options, const ordered_json& report) {
+  const fs::path file = fs::path(options.out) / kReportFile;
+  ordered_json earlier{{"parts", ordered_json::object()}, {"ignored", ordered_json::array()}};
+  if (!fs::is_regular_file(file)) return earlier;
+  const nlohmann::json before = parse_json(read_file(file), file.string());
+  std::set<std::string> sources;
+  for (const auto& part : report.at("parts")) sources.insert(part.value("source", ""));
+  if (before.contains("parts") && before.at("parts").is_object()) {
+    for (const auto& [name, part] : before.at("parts").items()) {
+      if (!report["parts"].contains(name)) earlier["parts"][name] = part;
     }
-    for (const auto& file : made) std::filesystem::remove(file, ignored);
-    if (!folder_was_there_) std::filesystem::remove(folder_, ignored);  // only when it is empty
   }
+  if (before.contains("ignored") && before.at("ignored").is_array()) {
+    for (const auto& entry : before.at("ignored")) {
+      if (sources.count(entry.value("source", "")) == 0) earlier["ignored"].push_back(ordered_json(entry));
+    }
+  }
+  return earlier;
+}
 
- private:
-  std::filesystem::path folder_;
-  bool folder_was_there_ = false;
-  std::set<std::filesystem::path> before_;
-};
-
-ordered_json convert_files(const ConversionOptions& options, const BundleOptions& bundle,
-                           const std::vector<Source>& sources) {
+// options.out is where the parts are written to, added_to where they come to lie at last, beside those that are there.
+ordered_json convert_files(const ConversionOptions& options, const fs::path& added_to,
+                           const BundleOptions& bundle, const std::vector<Source>& sources) {
   save_bundle_options(options.out, bundle);
   ordered_json report = {
-      {"bundle", options.out}, {"parts", ordered_json::object()}, {"ignored", ordered_json::array()}};
+      {"bundle", added_to.string()}, {"parts", ordered_json::object()}, {"ignored", ordered_json::array()}};
   for (const auto& source : sources) {
     const auto file = WeightFile::open(source.file);
     account_for_all(*file, source, report["ignored"]);
@@ -419,13 +455,33 @@ ordered_json convert_files(const ConversionOptions& options, const BundleOptions
     }
   }
   convert_renamed_backbone(options, bundle, report);
-  if (!options.dpt_decoder.empty()) replace_head(options, bundle, report);
+  if (!options.dpt_decoder.empty()) replace_head(options, bundle, added_to, report);
   report["missing"] = ordered_json::array();
   const auto written = ModelBundle::open(options.out);
   for (const BundlePart& part : bundle_parts(bundle)) {
-    if (!written.has(part)) report["missing"].push_back(bundle_part_name(part));
+    const bool is_there = fs::is_regular_file(added_to / written.file(part).filename());
+    if (!written.has(part) && !is_there) report["missing"].push_back(bundle_part_name(part));
   }
-  write_file_atomically(std::filesystem::path(options.out) / kReportFile, json_text(report, 2) + "\n");
+  return report;
+}
+
+// All parts are written beside the bundle before any takes its place in it: a conversion that fails leaves the bundle as
+// it was.
+ordered_json convert_into(const ConversionOptions& options, const BundleOptions& bundle,
+                          const std::vector<Source>& sources) {
+  const fs::path folder = options.out;
+  const AtomicFolder beside(folder / "converted");
+  ConversionOptions written = options;
+  written.out = beside.temporary().string();
+  ordered_json report = convert_files(written, folder, bundle, sources);
+  const ordered_json earlier = earlier_report(options, report);
+  ordered_json whole = report;
+  for (const auto& [name, part] : earlier["parts"].items()) whole["parts"][name] = part;
+  for (const auto& entry : earlier["ignored"]) whole["ignored"].push_back(entry);
+  std::vector<fs::path> made;
+  for (const auto& file : fs::directory_iterator(beside.temporary())) made.push_back(file.path());
+  for (const auto& file : made) fs::rename(file, folder / file.filename());
+  write_file_atomically(folder / kReportFile, json_text(whole, 2) + "\n");
   return report;
 }
 
@@ -450,11 +506,13 @@ ordered_json convert(const ConversionOptions& given) {
     if (!published.with_head) refuse_part_that_is_there(options, BundlePart::backbone());
   }
   remove_abandoned_files(options.out);
-  const MadeFiles made(options.out);
+  const bool was_there = fs::exists(options.out);
+  fs::create_directories(options.out);
   try {
-    return convert_files(options, bundle, sources);
+    return convert_into(options, bundle, sources);
   } catch (...) {  // an interruption, and what LibTorch throws, too
-    made.remove();
+    std::error_code ignored;
+    if (!was_there) fs::remove(options.out, ignored);  // only when it is empty
     throw;
   }
 }
@@ -462,9 +520,11 @@ ordered_json convert(const ConversionOptions& given) {
 std::string conversion_text(const ordered_json& report) {
   std::string text;
   for (const auto& [name, part] : report["parts"].items()) {
-    text += fmt::format("{:<17}  {} tensors, {} numbers in {}, from {}\n", name,
+    const int64_t kept = part.value("kept", int64_t{0});
+    text += fmt::format("{:<17}  {} tensors, {} numbers in {}, from {}{}\n", name,
                         part["tensors"].get<int64_t>(), part["elements"].get<int64_t>(),
-                        part["to"].get<std::string>(), part["source"].get<std::string>());
+                        part["to"].get<std::string>(), part["source"].get<std::string>(),
+                        kept == 0 ? "" : fmt::format("; {} of them as they were", kept));
   }
   for (const auto& entry : report["ignored"]) {
     text += fmt::format("left out           {} tensors {} of {}: {}\n", entry["tensors"].get<int64_t>(),

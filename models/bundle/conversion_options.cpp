@@ -30,7 +30,8 @@ void ConversionOptions::visit(FieldVisitor& visitor) {
   visit_choice(visitor, {"weights", "copy in a PyTorch checkpoint; plain: the file is a state_dict itself"},
                weights, {"ema", "model", "plain"});
   visit_store(visitor, store);
-  visit_out(visitor, out, overwrite);
+  visit_out(visitor, out);
+  visitor.boolean({"overwrite", "parts that are there already are replaced; the others stay"}, overwrite);
 }
 
 void ConversionOptions::check() const {

@@ -69,7 +69,9 @@ void SolverOptions::visit(FieldVisitor& visitor) {
                {"constant", "linear", "quadratic", "sine_squared"});
   visitor.real({"diffusion_strength", "factor of a stochastic solver's noise"}, diffusion_strength,
                {0, 1000});
-  visitor.integer({"noise_seed", "seed of a stochastic solver's noise"}, noise_seed, {0});
+  visitor.integer(
+      {"noise_seed", "seed of a stochastic solver's noise, beside that of the noise it starts from"},
+      noise_seed, {0});
 }
 
 void SolverOptions::check() const { schedule.check(); }

@@ -1,9 +1,11 @@
+#include "gld/base/philox.h"
 #include "gld/flow/flow.h"
 #include "gld/flow/solvers/solver_run.h"
 
+#include <algorithm>
 #include <cmath>
-
-#include <ATen/CPUGeneratorImpl.h>
+#include <string>
+#include <vector>
 
 namespace gld {
 namespace {
@@ -37,10 +39,42 @@ torch::Tensor drift(SolverRun& run, const torch::Tensor& x, double t) {
          (diffusion_at(run.options(), t).squared_over_time / 2) * noise_from_velocity(x, velocity, t);
 }
 
+// A row is a view in sampling. Its noise in each step follows from the seed and from what the row begins with, which is
+// noise of its own for each sample, level and view (gld/latents/noise.h): so it is another one for each of them too, and
+// the same whatever rows are beside it.
+class RowNoise {
+ public:
+  RowNoise(const torch::Tensor& begin, int64_t seed) : seed_(static_cast<uint64_t>(seed)) {
+    const auto rows = begin.detach().to(torch::kCPU).contiguous();
+    const int64_t count = rows.dim() == 0 ? 1 : rows.size(0);
+    const auto bytes = static_cast<size_t>(rows.numel() / std::max<int64_t>(count, 1) * rows.element_size());
+    const auto* data = static_cast<const char*>(rows.data_ptr());
+    for (int64_t row = 0; row < count; ++row)
+      rows_.push_back(fnv1a(std::string(data + static_cast<size_t>(row) * bytes, bytes)));
+  }
+
+  // Returns standard normal numbers of that shape, whose first dimension counts the rows.
+  torch::Tensor of_step(size_t step, const torch::Tensor& like) const {
+    auto noise = torch::empty(like.sizes(), torch::kFloat32);
+    const int64_t per_row = noise.numel() / std::max<int64_t>(static_cast<int64_t>(rows_.size()), 1);
+    NormalRun run;
+    run.key = philox_key(seed_, "diffusion, step " + std::to_string(step));
+    for (size_t row = 0; row < rows_.size(); ++row) {
+      run.index = rows_[row];
+      fill_normal(run, noise.data_ptr<float>() + static_cast<int64_t>(row) * per_row, per_row);
+    }
+    return noise.to(like.device(), like.scalar_type());
+  }
+
+ private:
+  uint64_t seed_;
+  std::vector<uint64_t> rows_;  // hashes
+};
+
 }  // namespace
 
 void run_stochastic(SolverRun& run, const std::vector<double>& times) {
-  auto generator = at::detail::createCPUGenerator(static_cast<uint64_t>(run.options().noise_seed));
+  const RowNoise row_noise(run.report().state, run.options().noise_seed);
   for (size_t i = 0; i + 1 < times.size(); ++i) {
     const double t = times[i], next = times[i + 1], h = t - next;
     const auto x = run.report().state;
@@ -49,7 +83,7 @@ void run_stochastic(SolverRun& run, const std::vector<double>& times) {
       run.accept(x - h * run.velocity(x, t), next);
       continue;
     }
-    const auto noise = torch::randn(x.sizes(), generator, torch::dtype(x.scalar_type())).to(x.device());
+    const auto noise = row_noise.of_step(i, x);
     const double spread = std::sqrt(h * diffusion_at(run.options(), t).squared);
     if (run.options().solver == SolverKind::kEulerMaruyama) {
       run.accept(x - h * drift(run, x, t) + spread * noise, next);

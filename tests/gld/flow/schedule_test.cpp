@@ -30,7 +30,7 @@ TEST(Schedule, PublishedGridStopsAboveZero) {
   EXPECT_NEAR(times[48], 0.405, 5e-4);
   EXPECT_NEAR(times[49], 0.030, 5e-4);
   // The times are s u / (1 + (s - 1) u) at u = 1 - 0.999 * 48/49 and u = 0.001; DESIGN.md section 4, "Flow" rounds them
-  // to 0.56 and 0.058.
+  // to 0.58 and 0.059.
   options.shift = 62.4;
   EXPECT_NEAR(schedule_times(options, 49)[48], 0.57695, 1e-5);
   EXPECT_NEAR(schedule_times(options, 49)[49], 0.05879, 1e-5);

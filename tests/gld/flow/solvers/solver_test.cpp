@@ -349,6 +349,36 @@ TEST(StochasticSolver, ReachesTheDistribution) {
   }
 }
 
+// A view's noise is another one than that of the views beside it, of other samples and of other levels, and does not depend
+// on how many there are.
+TEST(StochasticSolver, EveryRowHasNoiseOfItsOwn) {
+  SolverOptions options;
+  options.solver = SolverKind::kEulerMaruyama;
+  options.schedule.schedule = ScheduleKind::kUniform;
+  options.evaluations = 4;
+  class Still : public VelocityField {
+   public:
+    torch::Tensor velocity(const torch::Tensor& state, double /*t*/) override {
+      return torch::zeros_like(state);
+    }
+  } field;
+  torch::manual_seed(1);
+  const auto begin = torch::randn({3, 4000});
+  const auto solved = [&](const torch::Tensor& rows) { return solve(field, rows, options).state; };
+  EXPECT_TRUE(torch::equal(solved(begin).narrow(0, 2, 1), solved(begin.narrow(0, 2, 1))));
+  // What was added to a row: the rest of it is a multiple of what it begins with.
+  const auto added = [&](const torch::Tensor& row) {
+    const auto end = solved(row.unsqueeze(0))[0];
+    return end - end.dot(row) / row.dot(row) * row;
+  };
+  const auto likeness = [](const torch::Tensor& a, const torch::Tensor& b) {
+    return (a.dot(b) / (a.norm() * b.norm())).item<double>();
+  };
+  EXPECT_GT(added(begin[0]).norm().item<double>(), 10);
+  EXPECT_NEAR(likeness(added(begin[0]), added(begin[1])), 0, 0.06);
+  EXPECT_NEAR(likeness(added(begin[0]), added(begin[0] + 1e-3F)), 0, 0.06);
+}
+
 // Without noise strength both are the deterministic solvers.
 TEST(StochasticSolver, WithoutNoiseFollowsTheFlow) {
   const auto problem = single_gaussian_problem({});
