@@ -203,8 +203,8 @@ SplatFitStep splat_fit_step(const std::vector<FittedView>& views, const SplatFit
   result.absolute = loss.absolute;
   result.similarity = loss.similarity;
   result.seen = view.size();
-  result.change =
-      control_density(options.density, {fit.step, fit.extent, seed}, fit.statistics, fit.set, fit.moments);
+  result.change = control_density(options.density, {fit.step, options.steps, fit.extent, seed},
+                                  fit.statistics, fit.set, fit.moments);
   result.gaussians = fit.set.size();
   return result;
 }

@@ -18,6 +18,17 @@ struct SurfacePoint {
   std::array<float, 3> colour;
 };
 
+// Returns the depths that are known, of pixels that say something.
+std::vector<float> depths_said(const SplatPicture& picture) {
+  std::vector<float> depths;
+  for (size_t pixel = 0; pixel < picture.depth.metres.size(); ++pixel) {
+    const float depth = picture.depth.metres[pixel];
+    if (is_known_depth(depth) && (picture.valid.empty() || picture.valid[pixel] != 0))
+      depths.push_back(depth);
+  }
+  return depths;
+}
+
 std::vector<SurfacePoint> surface_points(const std::vector<SplatPicture>& pictures,
                                          const Eigen::Vector3d& middle) {
   std::vector<SurfacePoint> points;
@@ -28,7 +39,7 @@ std::vector<SurfacePoint> surface_points(const std::vector<SplatPicture>& pictur
     for (int64_t y = 0; y < picture.depth.height; ++y) {
       for (int64_t x = 0; x < picture.depth.width; ++x) {
         const double depth = picture.depth.at(x, y);
-        if (!is_known_depth(picture.depth.at(x, y))) continue;
+        if (!is_known_depth(picture.depth.at(x, y)) || !picture.says(x, y)) continue;
         const Eigen::Vector3d in_camera((static_cast<double>(x) + 0.5 - camera.intrinsics(0, 2)) / fx * depth,
                                         (static_cast<double>(y) + 0.5 - camera.intrinsics(1, 2)) / fy * depth,
                                         depth);
@@ -182,6 +193,7 @@ std::array<double, 3> colour_of(const std::vector<SplatPicture>& pictures,
     if (!(column >= 0 && column < static_cast<double>(picture.image.width) && row >= 0 &&
           row < static_cast<double>(picture.image.height)))
       continue;
+    if (!picture.says(static_cast<int64_t>(column), static_cast<int64_t>(row))) continue;
     const uint8_t* rgb = picture.image.pixel(static_cast<int64_t>(column), static_cast<int64_t>(row));
     for (size_t c = 0; c < 3; ++c) sum[c] += rgb[c] / 255.0;
     count += 1;
@@ -233,9 +245,7 @@ SceneReach scene_reach(const std::vector<SplatPicture>& pictures,
     farthest = std::max(farthest, (picture.camera.world_from_camera.translation() - reach.middle).norm());
   std::vector<double> distances;
   for (const SplatPicture& picture : pictures) {
-    for (const float depth : picture.depth.metres) {
-      if (is_known_depth(depth)) distances.push_back(depth);
-    }
+    for (const float depth : depths_said(picture)) distances.push_back(depth);
   }
   for (const Eigen::Vector3d& point : points_in_world) distances.push_back((point - reach.middle).norm());
   const double typical = distances.empty() ? 0 : median(std::move(distances));
@@ -257,9 +267,8 @@ namespace {
 }
 
 bool have_depth(const std::vector<SplatPicture>& pictures) {
-  return std::any_of(pictures.begin(), pictures.end(), [](const SplatPicture& picture) {
-    return std::any_of(picture.depth.metres.begin(), picture.depth.metres.end(), is_known_depth);
-  });
+  return std::any_of(pictures.begin(), pictures.end(),
+                     [](const SplatPicture& picture) { return !depths_said(picture).empty(); });
 }
 
 }  // namespace

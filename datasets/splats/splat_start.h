@@ -39,6 +39,10 @@ struct SplatPicture {
   DepthMap depth;
   std::vector<uint8_t>
       valid;  // (height, width) 0 where the picture says nothing; empty where it does everywhere
+
+  bool says(int64_t x, int64_t y) const {
+    return valid.empty() || valid[static_cast<size_t>(y * image.width + x)] != 0;
+  }
 };
 
 // The middle of the cameras, and how far the scene reaches as 3DGS counts it: 1.1 times the largest distance of a

@@ -71,7 +71,8 @@ void DensityOptions::visit(FieldVisitor& visitor) {
   visitor.real({"largest_scale", "scale above which one is removed after a reset, in the scene's extent"},
                largest_scale, {0, 1e6});
   visitor.integer({"first_step", "first step at which Gaussians are added"}, first_step, {1, 1'000'000'000});
-  visitor.integer({"last_step", "last such step"}, last_step, {0, 1'000'000'000});
+  visitor.integer({"last_step", "last such step; the fit's last `every` steps have none"}, last_step,
+                  {0, 1'000'000'000});
   visitor.integer({"every", "steps between two changes"}, every, {1, 1'000'000'000});
   visitor.integer({"reset_every", "steps between two resets of opacities"}, reset_every, {1, 1'000'000'000});
 }
@@ -91,10 +92,15 @@ void gather(const SplatView& view, const ColourGradients& gradients, int64_t gau
   }
 }
 
+int64_t last_density_step(const DensityOptions& options, int64_t steps) {
+  return std::min(options.last_step, steps - options.every);
+}
+
 DensityChange control_density(const DensityOptions& options, const DensityStep& step,
                               DensityStatistics& statistics, GaussianSet& set, SplatMoments& moments) {
   DensityChange change;
-  if (options.densify != Densification::kPublished || step.step > options.last_step) return change;
+  if (options.densify != Densification::kPublished || step.step > last_density_step(options, step.steps))
+    return change;
   if (step.step >= options.first_step && step.step % options.every == 0) {
     const int64_t count = set.size();
     statistics.gradient_sums.resize(static_cast<size_t>(count), 0.0F);
@@ -145,7 +151,7 @@ DensityChange control_density(const DensityOptions& options, const DensityStep& 
     moments.second = kept_gaussians(moments.second, keep);
     statistics = {};
   }
-  if (step.step % options.reset_every == 0) {
+  if (step.step % options.reset_every == 0 && step.step + options.reset_every <= step.steps) {
     const auto highest = static_cast<float>(std::log(kResetOpacity / (1 - kResetOpacity)));
     for (float& logit : set.logit_opacities) logit = std::min(logit, highest);
     std::fill(moments.first.logit_opacities.begin(), moments.first.logit_opacities.end(), 0.0F);

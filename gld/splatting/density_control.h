@@ -24,9 +24,9 @@ struct DensityOptions : OptionsGroup {
   double faintest = 0.005;     // opacity below which a Gaussian is removed
   double largest_scale = 0.1;  // of the scene's extent: removed where larger, after the first reset
   int64_t first_step = 500;
-  int64_t last_step = 15000;
+  int64_t last_step = 15000;  // or last_density_step()
   int64_t every = 100;
-  int64_t reset_every = 3000;  // opacities above 0.01 are set to it
+  int64_t reset_every = 3000;  // opacities above 0.01 are set to it, where as many steps follow
 
   void visit(FieldVisitor& visitor) override;
 };
@@ -39,8 +39,13 @@ struct DensityStatistics {
 void gather(const SplatView& view, const ColourGradients& gradients, int64_t gaussians,
             DensityStatistics& statistics);
 
+// Returns the last step at which Gaussians are added or removed in a fit of so many: `every` steps before its end at the
+// latest, since what was added has to find its place.
+int64_t last_density_step(const DensityOptions& options, int64_t steps);
+
 struct DensityStep {
   int64_t step = 0;   // of the fit, from 1
+  int64_t steps = 0;  // of how many
   double extent = 1;  // of the scene
   uint64_t seed = 0;  // of where the halves of a Gaussian that is split go
 };

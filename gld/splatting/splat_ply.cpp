@@ -15,7 +15,7 @@ namespace gld {
 namespace {
 
 constexpr const char* kOriginNote = "gld:origin";
-// Some readers take no line beyond 1024 characters.
+// Some readers take no line beyond 1024 characters; a longer comment goes on under NAME+, as in point clouds.
 constexpr size_t kLongestComment = 900;
 
 std::vector<std::string> property_names(int64_t harmonics_each) {
@@ -53,10 +53,15 @@ void write_splat_ply(const std::filesystem::path& file, const GaussianSet& set,
         fmt::format("{} {} {} {}", kOriginNote, set.origin[0], set.origin[1], set.origin[2]));
   }
   for (const auto& [name, text] : notes) {
-    std::string line = fmt::format("{} {}", name, text);
+    std::string line = text;
+    const auto text_from = [&](const std::string& whole, size_t at) {
+      return whole.substr(at, kLongestComment);
+    };
     std::replace(line.begin(), line.end(), '\n', ' ');
     std::replace(line.begin(), line.end(), '\r', ' ');
-    vertices.comments.push_back(line.substr(0, kLongestComment));
+    vertices.comments.push_back(name + " " + text_from(line, 0));
+    for (size_t at = kLongestComment; at < line.size(); at += kLongestComment)
+      vertices.comments.push_back(name + "+ " + text_from(line, at));
   }
   const int64_t others = harmonic_coefficients(set.degree) - 1;
   vertices.properties = property_names(3 * others);

@@ -37,7 +37,9 @@ std::string state_of_run(const std::filesystem::path& folder) {
     return "running";
   }
   std::error_code none;
-  return std::filesystem::exists(folder / "report.json", none) ? "finished" : "not finished";
+  // A fit that was stopped has a report of the steps so far.
+  const bool stopped = std::filesystem::exists(folder / "fit.checkpoint", none);
+  return !stopped && std::filesystem::exists(folder / "report.json", none) ? "finished" : "not finished";
 }
 
 ordered_json number_or_null(const nlohmann::json& object, const char* key) {

@@ -3,9 +3,14 @@
 #include "datasets/formats/cameras_json.h"
 #include "datasets/splats/scene_fit.h"
 #include "datasets/splats/splat_picture.h"
+#include "gld/base/atomic_file.h"
 #include "gld/base/command_options.h"
+#include "gld/base/configuration.h"
 #include "gld/base/error.h"
 #include "gld/base/interrupt.h"
+#include "gld/base/json_text.h"
+#include "gld/base/run_journal.h"
+#include "gld/base/yaml_text.h"
 #include "gld/machine/timing.h"
 #include "gld/report/progress.h"
 #include "gld/report/provenance.h"
@@ -78,6 +83,30 @@ void SplatRenderOptions::check() const {
   path.check();
 }
 
+namespace {
+
+// Returns how Gaussians are drawn: as they were fitted, where they come with their run and the options do not say otherwise.
+ProjectionOptions projection_of(const SplatRenderOptions& options) {
+  const std::filesystem::path run = options.splats;
+  const auto configuration = run / kRunConfiguration, report = run / "report.json";
+  const bool says = to_yaml(options.projection) != to_yaml(SplatRenderOptions().projection);
+  if (says || !std::filesystem::is_regular_file(configuration) || !std::filesystem::is_regular_file(report))
+    return options.projection;
+  ProjectionOptions projection;
+  const auto fitted = parse_yaml(read_file(configuration), configuration.string());
+  if (fitted["fit"] && fitted["fit"]["projection"]) {
+    YAML::Emitter text;
+    text << fitted["fit"]["projection"];
+    load_yaml_text(projection, text.c_str(), configuration.string());
+  }
+  const auto found = parse_json(read_file(report), report.string());
+  if (found.contains("near") && found.at("near").is_number())
+    projection.near = found.at("near").get<double>();
+  return projection;
+}
+
+}  // namespace
+
 void run_splat_render(const SplatRenderOptions& options,
                       const std::function<DrawSplats(const DrawnSplats&)>& make_drawing) {
   options.check();
@@ -90,7 +119,7 @@ void run_splat_render(const SplatRenderOptions& options,
   PathSurroundings surroundings;
   for (const CameraRecord& record : list.records) surroundings.cameras.push_back(record.camera);
   const CameraPath path = make_camera_path(options.path, sources, surroundings);
-  ProjectionOptions projection = options.projection;
+  ProjectionOptions projection = projection_of(options);
   if (projection.near == 0)
     projection.near = kNearShare * std::max(known_reach(sources, surroundings), 1e-30);
   KernelSettings settings;

@@ -157,7 +157,7 @@ TEST(DensityControl, CopiesSplitsAndRemoves) {
   DensityStatistics statistics;
   statistics.gradient_sums = {1e-3F, 1e-3F, 1e-4F, 9e-4F, 0, 0};
   statistics.seen = {2, 2, 1, 9, 0, 0};  // means 5e-4, 5e-4, 1e-4, 1e-4
-  const DensityChange change = control_density(published(), {500, 1, 3}, statistics, set, moments);
+  const DensityChange change = control_density(published(), {500, 30000, 1, 3}, statistics, set, moments);
   EXPECT_EQ(change.copied, 1);   // Gaussian 0, small
   EXPECT_EQ(change.split, 1);    // Gaussian 1, large
   EXPECT_EQ(change.removed, 1);  // Gaussian 5, faint
@@ -187,7 +187,7 @@ TEST(DensityControl, KeepsToItsCapAndResets) {
   options.most_gaussians = 21;
   options.faintest = 0;
   const GaussianSet before = set;
-  const DensityChange change = control_density(options, {3000, 1, 3}, statistics, set, moments);
+  const DensityChange change = control_density(options, {3000, 30000, 1, 3}, statistics, set, moments);
   EXPECT_EQ(change.copied + change.split, 1);  // only Gaussian 13 has room
   EXPECT_EQ(set.size(), 21);
   EXPECT_TRUE(change.reset);
@@ -195,8 +195,30 @@ TEST(DensityControl, KeepsToItsCapAndResets) {
   DensityOptions none;
   GaussianSet same = before;
   moments = splat_moments(same);
-  control_density(none, {3000, 1, 3}, statistics, same, moments);
+  control_density(none, {3000, 30000, 1, 3}, statistics, same, moments);
   EXPECT_EQ(same.logit_opacities, before.logit_opacities);
+}
+
+// What is added, split or made faint has to find its place before the fit ends.
+TEST(DensityControl, LeavesTheEndOfAFitAlone) {
+  EXPECT_EQ(last_density_step({}, 30000), 15000);
+  EXPECT_EQ(last_density_step({}, 2000), 1900);
+  const DensityOptions options = published();
+  const auto change_at = [&](int64_t step, int64_t steps) {
+    GaussianSet set = random_gaussians({});
+    SplatMoments moments = splat_moments(set);
+    DensityStatistics statistics;
+    statistics.gradient_sums.assign(20, 1.0F);
+    statistics.seen.assign(20, 1);
+    return control_density(options, {step, steps, 1, 3}, statistics, set, moments);
+  };
+  const DensityChange last = change_at(3000, 3000), near_end = change_at(3000, 5999),
+                      in_time = change_at(3000, 6000);
+  EXPECT_EQ(last.copied + last.split + last.removed, 0);
+  EXPECT_FALSE(last.reset);
+  EXPECT_GT(near_end.copied + near_end.split, 0);
+  EXPECT_FALSE(near_end.reset);
+  EXPECT_TRUE(in_time.reset);
 }
 
 TEST(PixelWeights, AreWhatCompositingSums) {
