@@ -47,6 +47,8 @@ Metric depth_scale_ratio_metric() {
           Better::kNearOne,
           {MetricNeed::kTrueDepth, MetricNeed::kDepth, MetricNeed::kDepthScale},
           [](const MetricInputs& inputs) {
+            if (!inputs.depth_scale_is_told)
+              return absent_metric("the scale of the model's depth is not known");
             const auto truth = inputs.true_depth.to(torch::kCPU);
             const auto depth = inputs.depth.to(torch::kCPU, torch::kFloat64);
             if (!(truth.gt(0) & depth.isfinite() & depth.gt(0)).any().item<bool>()) {

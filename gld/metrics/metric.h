@@ -52,10 +52,12 @@ struct MetricInputs {
   torch::Tensor true_depth;           // (targets, height, width) in the scene's unit, 0 where unknown
   torch::Tensor depth;                // (targets, height, width) in the model's own unit
   std::optional<double> depth_scale;  // scene units in one of the model's
-  torch::Tensor cloud;                // (points, 3) in the scene
-  torch::Tensor true_surface;         // (points, 3) in the scene, as dense as the true depth maps
-  Views views;                        // the scene's cameras, sources first
-  torch::Tensor rays;  // (views, rows, columns, 6): direction, then origin, in the model's frame
+  bool depth_scale_is_told =
+      true;                    // false: nothing tells it, and depth is in the scene's unit by photographs
+  torch::Tensor cloud;         // (points, 3) in the scene
+  torch::Tensor true_surface;  // (points, 3) in the scene, as dense as the true depth maps
+  Views views;                 // the scene's cameras, sources first
+  torch::Tensor rays;          // (views, rows, columns, 6): direction, then origin, in the model's frame
   std::vector<Camera> predicted_cameras;  // the cameras that fit the rays best, one a view
   std::vector<Camera> photo_cameras;      // estimated from the pictures alone, one a view
   // Of the sample, sources first, one a view; in a frame and unit of their own.

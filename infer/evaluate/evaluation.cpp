@@ -29,6 +29,7 @@
 #include <algorithm>
 #include <cmath>
 #include <filesystem>
+#include <functional>
 #include <optional>
 #include <vector>
 
@@ -41,6 +42,13 @@ namespace {
 struct KeptScene {
   std::vector<SceneEvaluation> by_count;  // one a number of sources
   std::vector<AttentionCorrespondence> attention;
+  std::vector<std::string> warnings;  // of the scene
+};
+
+// What a record is of: another scene of the same number, or a scene as other weights show it, has to be measured.
+struct RecordOf {
+  std::string models;  // content of all of them
+  std::string scene;
 };
 
 // A scene that was measured just now, by this process or another.
@@ -53,26 +61,34 @@ struct MeasuredScene {
 std::string checksum_of(nlohmann::ordered_json kept) {
   kept.erase("checksum");
   Sha256 hash;
-  hash.update(kept.dump());
+  hash.update(json_text(kept));
   return hash.hex_digest();
 }
 
-std::string text_of(const KeptScene& scene) {
-  nlohmann::ordered_json kept{{"by_sources", nlohmann::ordered_json::array()},
-                              {"attention", attention_record(scene.attention)}};
+std::string text_of(const KeptScene& scene, const RecordOf& of) {
+  nlohmann::ordered_json kept{{"models", of.models},
+                              {"scene", of.scene},
+                              {"by_sources", nlohmann::ordered_json::array()},
+                              {"attention", attention_record(scene.attention)},
+                              {"warnings", scene.warnings}};
   for (const SceneEvaluation& entry : scene.by_count) kept["by_sources"].push_back(scene_record(entry));
   kept["checksum"] = checksum_of(kept);
-  return kept.dump(1) + "\n";
+  return json_text(kept, 1) + "\n";
 }
 
-// Returns nothing for text that is no record, or a damaged one.
-std::optional<KeptScene> scene_of(const std::string& text, const std::string& where) {
+// Returns nothing for text that is no record, a damaged one, or one of something else. Text of JSON is UTF-8: names are
+// compared as they are written.
+std::optional<KeptScene> scene_of(const std::string& text, const RecordOf& of, const std::string& where) {
   try {
     const auto kept = nlohmann::ordered_json::parse(text);
     if (kept.at("checksum") != checksum_of(kept)) return std::nullopt;
+    const nlohmann::ordered_json wanted{{"models", of.models}, {"scene", of.scene}};
+    const nlohmann::ordered_json found{{"models", kept.at("models")}, {"scene", kept.at("scene")}};
+    if (json_text(found) != json_text(wanted)) return std::nullopt;
     KeptScene scene;
     for (const auto& entry : kept.at("by_sources")) scene.by_count.push_back(scene_from_record(entry, where));
     scene.attention = attention_from_record(kept.at("attention"));
+    scene.warnings = kept.at("warnings").get<std::vector<std::string>>();
     return scene;
   } catch (const nlohmann::json::exception&) {
     return std::nullopt;
@@ -84,7 +100,8 @@ std::optional<KeptScene> scene_of(const std::string& text, const std::string& wh
 // The scenes that are done, a file each, and their contact sheets.
 class SceneRecords {
  public:
-  explicit SceneRecords(std::filesystem::path folder) : folder_(std::move(folder)) {}
+  SceneRecords(std::filesystem::path folder, std::function<RecordOf(int64_t)> of)
+      : folder_(std::move(folder)), of_(std::move(of)) {}
 
   std::filesystem::path sheet(int64_t index) const { return folder_ / fmt::format("{:06}.png", index); }
 
@@ -92,7 +109,7 @@ class SceneRecords {
   std::optional<KeptScene> find(int64_t index) const {
     const auto file = record(index);
     if (!std::filesystem::is_regular_file(file)) return std::nullopt;
-    return scene_of(read_file(file), file.string());
+    return scene_of(read_file(file), of_(index), file.string());
   }
 
   // The sheet is written first: a scene that has a record is done.
@@ -105,6 +122,7 @@ class SceneRecords {
   std::filesystem::path record(int64_t index) const { return folder_ / fmt::format("{:06}.json", index); }
 
   std::filesystem::path folder_;
+  std::function<RecordOf(int64_t)> of_;
 };
 
 // Returns the scenes with the largest, the middle and the least PSNR of the sample; fewer than 3 scenes have no such.
@@ -281,6 +299,17 @@ EvaluationModels load_models(const EvaluationOptions& options, const ModelBundle
   return models;
 }
 
+// Returns a text that changes with the weights of all models of an evaluation.
+std::string content_of_models(const EvaluationOptions& options, const ModelBundle& bundle) {
+  std::string content = bundle.content_hash();
+  if (!options.pose_model.empty() && std::filesystem::is_directory(options.pose_model))
+    content += " " + ModelBundle::open(options.pose_model).content_hash();
+  for (const std::string& file : {options.lpips.lpips_backbone, options.lpips.lpips_heads}) {
+    if (std::filesystem::is_regular_file(file)) content += " " + sha256_of_file(file);
+  }
+  return content;
+}
+
 // Evaluates a scene with each number of sources; draws the sheet of the first.
 MeasuredScene measured_scene(const EvaluationModels& models, const EvaluationOptions& options,
                              const Scene& scene, int64_t index) {
@@ -289,6 +318,11 @@ MeasuredScene measured_scene(const EvaluationModels& models, const EvaluationOpt
   for (const ViewSelection& selection :
        evaluated_views(options.evaluated_views(), scene, held_out_key(options.synthetic_seed, index))) {
     const SamplingScene loaded = load_selected_views(scene, selection, models.bundle);
+    for (const std::string& warning : loaded.warnings) {
+      if (std::find(measured.kept.warnings.begin(), measured.kept.warnings.end(), warning) ==
+          measured.kept.warnings.end())
+        measured.kept.warnings.push_back(warning);
+    }
     const auto seeds = noise_seeds(options, index);
     const EvaluatedScene evaluated = evaluate_scene(models, loaded, sampling, seeds);
     if (measured.kept.by_count.empty()) {
@@ -304,10 +338,10 @@ MeasuredScene measured_scene(const EvaluationModels& models, const EvaluationOpt
 }
 
 // Returns the bytes of a measured scene on its way to the process that keeps it.
-std::string bytes_of(const MeasuredScene& scene) {
+std::string bytes_of(const MeasuredScene& scene, const RecordOf& of) {
   const std::vector<uint8_t> sheet(scene.sheet.begin(), scene.sheet.end());
-  const auto bytes =
-      nlohmann::json::to_cbor({{"record", text_of(scene.kept)}, {"sheet", nlohmann::json::binary(sheet)}});
+  const auto bytes = nlohmann::json::to_cbor(
+      {{"record", text_of(scene.kept, of)}, {"sheet", nlohmann::json::binary(sheet)}});
   return {bytes.begin(), bytes.end()};
 }
 
@@ -330,7 +364,8 @@ std::vector<int64_t> scenes_to_measure(const ProcessShare& share, const SceneRec
 
 // Measures the scenes that have no record yet; records is null at processes other than rank 0.
 void measure_scenes(const ProcessShare& share, const EvaluationOptions& options,
-                    const EvaluationModels& models, const Dataset& dataset, const SceneRecords* records) {
+                    const EvaluationModels& models, const Dataset& dataset,
+                    const std::function<RecordOf(int64_t)>& record_of, const SceneRecords* records) {
   const auto missing = scenes_to_measure(share, records, dataset.size());
   int64_t done = dataset.size() - static_cast<int64_t>(missing.size());
   std::optional<Progress> progress;
@@ -339,7 +374,7 @@ void measure_scenes(const ProcessShare& share, const EvaluationOptions& options,
   scenes.make = [&](int64_t index) {
     stop_if_interrupted("evaluation stopped after " + std::to_string(done) +
                         " scenes; --resume goes on with the next one");
-    return bytes_of(measured_scene(models, options, dataset.scene(index), index));
+    return bytes_of(measured_scene(models, options, dataset.scene(index), index), record_of(index));
   };
   scenes.take = [&](int64_t index, const std::string& made) {
     ++done;
@@ -348,10 +383,16 @@ void measure_scenes(const ProcessShare& share, const EvaluationOptions& options,
     const auto text = measured.at("record").get<std::string>();
     const auto& sheet = measured.at("sheet").get_binary();
     records->write(index, text, {sheet.begin(), sheet.end()});
-    progress->update(done, progress_note(scene_of(text, "a measured scene").value()));
+    progress->update(done, progress_note(scene_of(text, record_of(index), "a measured scene").value()));
   };
   share_pieces(share, missing, scenes);
   if (progress) progress->finish();
+}
+
+// File systems take names of at most 255 bytes: of a longer one the beginning stands before its scene's number.
+std::string name_of_sheet(const std::string& scene, size_t index) {
+  constexpr size_t kMost = 200;
+  return scene.size() <= kMost ? scene : fmt::format("{}_{:06}", scene.substr(0, kMost), index);
 }
 
 // Writes contact sheets of the first scenes, and of those with the best, the median and the worst PSNR.
@@ -359,7 +400,8 @@ void write_sheets(const EvaluationOptions& options, const RunFolder& folder, con
                   const std::vector<SceneEvaluation>& results) {
   const auto sheets = folder.subfolder("sheets");
   for (size_t i = 0; i < results.size() && static_cast<int64_t>(i) < options.pictures; ++i) {
-    copy_sheet(records.sheet(static_cast<int64_t>(i)), sheets / (results[i].scene + ".png"));
+    copy_sheet(records.sheet(static_cast<int64_t>(i)),
+               sheets / (name_of_sheet(results[i].scene, i) + ".png"));
   }
   for (const auto& [name, index] : chosen_scenes(results)) {
     copy_sheet(records.sheet(static_cast<int64_t>(index)), folder.path() / (name + "_scene.png"));
@@ -386,6 +428,16 @@ nlohmann::ordered_json summaries(const std::vector<std::vector<SceneEvaluation>>
   return report;
 }
 
+// Prints the first few; all are in report.json.
+void print_some(const std::vector<std::string>& warnings) {
+  constexpr size_t kMost = 5;
+  std::vector<std::string> some(
+      warnings.begin(), warnings.begin() + static_cast<std::ptrdiff_t>(std::min(kMost, warnings.size())));
+  if (warnings.size() > kMost)
+    some.push_back(fmt::format("{} more warnings of scenes are in report.json.", warnings.size() - kMost));
+  print_warnings(some);
+}
+
 }  // namespace
 
 std::string evaluate(const EvaluationOptions& options) {
@@ -394,7 +446,7 @@ std::string evaluate(const EvaluationOptions& options) {
   const EarlierRun earlier = options.resume ? EarlierRun::kContinue : earlier_run(options.overwrite);
   if (share.leads()) {
     check_run_folder(options.out, "eval", earlier);
-    if (options.resume) refuse_other_options(options.out, options, EvaluationOptions());
+    if (options.resume) refuse_other_options(options.out, options, EvaluationOptions(), {"pictures"});
   }
   const auto bundle = ModelBundle::open(options.model);
   if (!share.team->alone()) check_same_work(*share.team, options, bundle.content_hash());
@@ -415,13 +467,15 @@ std::string evaluate(const EvaluationOptions& options) {
       held_out_dataset(options.scenes, options.generator, options.synthetic_seed, options.synthetic);
   const EvaluationModels models =
       load_models(options, bundle, device_from_text(share.device(options.device)));
+  const std::string content = content_of_models(options, bundle);
+  const auto record_of = [&](int64_t index) { return RecordOf{content, dataset->scene_name(index)}; };
   std::optional<RunFolder> lead_folder;
   std::optional<SceneRecords> lead_records;
   if (share.leads()) {
     lead_folder.emplace(options.out, "eval", options, earlier);
-    lead_records.emplace(lead_folder->subfolder("scenes"));
+    lead_records.emplace(lead_folder->subfolder("scenes"), record_of);
   }
-  measure_scenes(share, options, models, *dataset, lead_records ? &*lead_records : nullptr);
+  measure_scenes(share, options, models, *dataset, record_of, lead_records ? &*lead_records : nullptr);
   if (!share.leads()) return {};
   RunFolder& folder = *lead_folder;
   const SceneRecords& records = *lead_records;
@@ -429,6 +483,7 @@ std::string evaluate(const EvaluationOptions& options) {
 
   std::vector<std::vector<SceneEvaluation>> by_count(std::max<size_t>(1, options.source_counts.size()));
   std::vector<std::vector<AttentionCorrespondence>> attention;
+  std::vector<std::string> warnings;
   DistinctNames names;
   for (int64_t index = 0; index < dataset->size(); ++index) {
     const KeptScene kept = records.find(index).value();
@@ -439,6 +494,7 @@ std::string evaluate(const EvaluationOptions& options) {
       by_count[i].back().scene = name;
     }
     if (!options.attention_times.empty()) attention.push_back(kept.attention);
+    for (const std::string& warning : kept.warnings) warnings.push_back(name + ": " + warning);
   }
 
   std::vector<SceneEvaluation> all;
@@ -458,6 +514,8 @@ std::string evaluate(const EvaluationOptions& options) {
                                    {"protocol", protocol_json(options, bundle.options())}};
   const auto summary = summaries(by_count);
   report.update(summary);
+  report["warnings"] = warnings;
+  print_some(warnings);
   folder.write_report(report);
   folder.note("table", "eval.csv");
   folder.note("a row a target", "targets.csv");

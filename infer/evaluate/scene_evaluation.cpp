@@ -167,7 +167,13 @@ class SceneMetrics {
     inputs.depth = geometry.depth.narrow(0, views.num_sources, views.num_targets());
     if (sample.view_depth.empty()) return inputs;
     // As gld sample writes it, but in the model's unit, which metrics beside the head's own depth take.
-    if (!inputs.depth_scale) inputs.depth_scale = 1;
+    if (!inputs.depth_scale) {
+      inputs.depth_scale = 1;
+      inputs.depth_scale_is_told = false;
+      inputs.camera_scale.reset();  // that of the model's unit
+      inputs.missing[MetricNeed::kCameraScale] =
+          "the depth is not in the unit of the cameras that the rays show";
+    }
     std::vector<torch::Tensor> fused;
     for (size_t view = static_cast<size_t>(views.num_sources); view < sample.view_depth.size(); ++view) {
       const PlanarDepth& map = sample.view_depth[view];

@@ -14,6 +14,7 @@
 #include "infer/forecast/plan_report.h"
 #include "infer/forecast/sampling_plan.h"
 #include "infer/method/sampling_method.h"
+#include "infer/pipeline/bundle_models.h"
 #include "models/bundle/bundle.h"
 
 #include <optional>
@@ -144,6 +145,9 @@ Forecast forecast(const DoctorOptions& options, const Machine& machine) {
   method.solver = options.solver;
   method.guidance_interval = options.guidance.guidance_interval;
   request.flow = flow_settings(method, options.guidance, bundle.options());
+  request.photographs_used = photograph_use_of(PhotographOptions(), bundle);
+  for (const BundlePart& part : needed_parts(bundle.options(), request.stage_request()))
+    request.converted_bytes[bundle_part_name(part)] = bundle.converted_bytes(part);
   Forecast result;
   result.plan = plan_sampling(bundle.options(), request);
   predict_seconds(result.plan, machine.speed);

@@ -1,6 +1,7 @@
 #include "infer/forecast/memory_refusal.h"
 
 #include "gld/machine/stage_record.h"
+#include "infer/request/sampling_scene.h"
 
 #include <algorithm>
 #include <vector>
@@ -43,6 +44,11 @@ std::string memory_refusal(const BundleOptions& bundle, const PlanRequest& reque
     PlanRequest other = request;
     other.grid.width = width;
     other.grid.height = std::max<int64_t>(1, request.grid.height * width / request.grid.width);
+    // A size that is named has photographs of some 448 pixels a side, whatever they have in the request.
+    const int64_t side = bundle.backbone.patch_side() * std::max(other.grid.width, other.grid.height);
+    other.photograph_magnification =
+        std::min(request.photograph_magnification, std::max<int64_t>(1, kMatchedPhotographSide / side));
+    other.picture_magnification = 1;
     return other;
   };
   std::vector<std::string> would_fit;
@@ -55,7 +61,8 @@ std::string memory_refusal(const BundleOptions& bundle, const PlanRequest& reque
         fmt::format("{} views of this size", most(fewest, request.grid.views - 1, with_all_views)));
   }
   if (request.grid.width > 1 && fits(with_width(1))) {
-    const LatentGrid grid = with_width(most(1, request.grid.width - 1, with_width)).grid;
+    const int64_t widest = request.grid.width - (request.picture_magnification > 1 ? 0 : 1);
+    const LatentGrid grid = with_width(most(1, widest, with_width)).grid;
     const int64_t side = bundle.backbone.patch_side();
     would_fit.push_back(
         fmt::format("{} views at --size {}x{}", grid.views, grid.width * side, grid.height * side));

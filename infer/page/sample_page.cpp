@@ -169,16 +169,19 @@ Json views_json(const std::vector<PageView>& views, const Json& report, const Ei
     if (!view.truth.empty()) json["truth"] = pictures.add(view.truth);
     if (!view.depth.empty()) json["depth"] = pictures.add(coloured_depth(view.depth, range));
     if (nearest[i] >= 0) json["nearest"] = nearest[i];
+    // Sources may be called as targets are: the views of a run, given to another one.
+    const bool is_target = view.record.role != "source";
     for (const char* metric : {"psnr", "ssim"}) {
+      if (!is_target) continue;
       const Json& value = row_value(report, "/against_truth", view.name, metric);
       if (value.is_number()) json[metric] = value;
     }
     const Json& kept = row_value(report, "/photographs/kept", view.name, "share");
-    if (kept.is_number()) json["kept"] = kept;
+    if (is_target && kept.is_number()) json["kept"] = kept;
     const Json& expected = row_value(report, "/photographs/kept", view.name, "expected_psnr");
-    if (expected.is_number()) json["expected"] = expected;
+    if (is_target && expected.is_number()) json["expected"] = expected;
     for (const Json& carried : report_value(report, "/photographs/carried_only")) {
-      if (carried == view.name) json["carried"] = true;
+      if (is_target && carried == view.name) json["carried"] = true;
     }
     list.push_back(std::move(json));
   }

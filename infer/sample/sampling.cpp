@@ -296,6 +296,12 @@ ReportText sampling_plan_report(const SampleOptions& options, PlanTiming timing)
   warnings.insert(warnings.end(), prepared.scene.warnings.begin(), prepared.scene.warnings.end());
   warnings.insert(warnings.end(), prepared.unlike_training.begin(), prepared.unlike_training.end());
   if (!problem.empty()) warnings.push_back(problem);
+  // A plan may be made before the weights are there, or while a part is another one's.
+  try {
+    mixed_parts(prepared.bundle, require_parts(prepared, options), options.allow_mixed);
+  } catch (const Error& error) {
+    warnings.push_back(std::string("gld sample would not begin: ") + error.what());
+  }
   warnings.insert(warnings.end(), planned.speed.doubts.begin(), planned.speed.doubts.end());
   if (options.json) {
     const nlohmann::ordered_json report{{"scene", prepared.scene.name},

@@ -39,6 +39,7 @@ std::string value_without_use(const OptionUse& use, const Command& command, cons
   if (use.condition == OptionUse::Condition::kNoneOf) return use.values.front();
   for (const auto& option : describe_options(*command.options)) {
     if (option.key != needed) continue;
+    if (option.type == "list of integer") return "1";
     if (option.type.rfind("list", 0) == 0 || option.type == "text") return "some_folder";
     for (size_t begin = 0; begin != std::string::npos;) {
       const size_t bar = option.type.find('|', begin);
