@@ -13,6 +13,7 @@
 #include <utility>
 
 #include <fmt/format.h>
+#include <fmt/ranges.h>
 
 namespace gld {
 namespace {
@@ -133,18 +134,21 @@ class Planner {
     }
     task.base_model = run.variant.model.empty() ? ablation_.options.model : run.variant.model;
     task.base_hash = base(task.base_model).hash;
+    task.base_stamp = base(task.base_model).stamp;
   }
 
   struct Base {
     BundleOptions options;
     std::string hash;
+    std::string stamp;
     bool has_backbone = false;
   };
   const Base& base(const std::filesystem::path& folder) {
     const auto known = bases_.find(folder.string());
     if (known != bases_.end()) return known->second;
     const auto bundle = ModelBundle::open(folder);
-    const Base made{bundle.options(), bundle.content_hash(), bundle.has(BundlePart::backbone())};
+    const std::string stamp = files_stamp(folder);
+    const Base made{bundle.options(), bundle.content_hash(), stamp, bundle.has(BundlePart::backbone())};
     return bases_.emplace(folder.string(), made).first->second;
   }
 
@@ -299,8 +303,10 @@ class Planner {
     const auto found = ablation_.smoke.find(stage.name);
     if (found == ablation_.smoke.end()) return;
     const auto options = commands_.options(stage.command);
-    for (const OptionSetting& setting : found->second)
+    for (const OptionSetting& setting : found->second) {
+      refuse_own(setting);
       apply_setting(*options, setting.key, setting.value, setting.where);
+    }
   }
 
   void set(OptionsGroup& options, const std::string& key, const std::string& value, const Run& run,
@@ -352,6 +358,16 @@ class Planner {
 };
 
 }  // namespace
+
+std::string files_stamp(const std::filesystem::path& folder) {
+  std::set<std::string> files;
+  for (const auto& entry : std::filesystem::directory_iterator(folder)) {
+    if (!entry.is_regular_file()) continue;
+    files.insert(fmt::format("{} {} {}\n", entry.path().filename().string(), entry.file_size(),
+                             entry.last_write_time().time_since_epoch().count()));
+  }
+  return fmt::format("{}", fmt::join(files, ""));
+}
 
 bool is_stage_key(const std::string& text) {
   return text.size() == kKeyDigits && text.find_first_not_of("0123456789abcdef") == std::string::npos;

@@ -29,12 +29,13 @@ struct StageTask {
   std::vector<size_t> needs;  // tasks that must be done before, by their number
   bool takes_model = false;
   bool takes_threads = false;
-  bool takes_kept_scenes = false;                     // a training on scenes (train/data/kept_folder.h)
-  std::filesystem::path base_model;                   // the bundle it takes where no stage makes one
-  std::string base_hash;                              // of that bundle's content, when this was planned
-  std::optional<size_t> model;                        // the task that makes the bundle it takes
-  std::vector<size_t> parts;                          // assemble: tasks whose trained parts are taken
-  std::optional<size_t> resumed;                      // the task whose run it goes on with
+  bool takes_kept_scenes = false;    // a training on scenes (train/data/kept_folder.h)
+  std::filesystem::path base_model;  // the bundle it takes where no stage makes one
+  std::string base_hash;             // of that bundle's content, when this was planned
+  std::string base_stamp;            // files_stamp() then: hashing gigabytes for every stage takes long
+  std::optional<size_t> model;       // the task that makes the bundle it takes
+  std::vector<size_t> parts;         // assemble: tasks whose trained parts are taken
+  std::optional<size_t> resumed;     // the task whose run it goes on with
   std::vector<std::pair<std::string, size_t>> named;  // stages in ${...}, and their tasks
   bool resumable = false;
   bool alone = false;
@@ -63,6 +64,9 @@ AblationPlan plan_ablation(const Ablation& ablation, const ProgramCommands& comm
 // Returns variants that cannot differ, "a" and "b": the same rows and columns of the same stages.
 std::vector<std::pair<std::string, std::string>> equal_variants(const Ablation& ablation,
                                                                 const AblationPlan& plan);
+
+// Returns names, sizes and times of the files in a folder: where it is the same they are the same files.
+std::string files_stamp(const std::filesystem::path& folder);
 
 // Returns whether text looks like StageTask::key.
 bool is_stage_key(const std::string& text);

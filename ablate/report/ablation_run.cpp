@@ -50,7 +50,8 @@ void remove_stages(const fs::path& cache) {
 
 // Whole results that are there are of the same question: others would be lost. What was stopped, or failed in part, may
 // be asked otherwise.
-void check_same_question(const Ablation& ablation, const AblationPlan& plan, const fs::path& folder) {
+void check_same_question(const Ablation& ablation, const AblationPlan& plan, const std::string& program,
+                         const fs::path& folder) {
   const fs::path file = folder / "report.json";
   if (!fs::exists(file) || !fs::exists(folder / "ablation.yaml")) return;
   const nlohmann::json report = parse_json(read_file(file), file.string());
@@ -58,7 +59,9 @@ void check_same_question(const Ablation& ablation, const AblationPlan& plan, con
     if (variant.contains("problems")) return;
   const fs::path config = folder / kRunConfiguration;
   if (!fs::exists(config)) return;
-  const std::set<std::string> asked{"model", "smoke", "seeds", "only", "overrides", "device"};
+  std::set<std::string> asked{"model", "smoke", "seeds", "only", "overrides", "device"};
+  if (std::any_of(plan.tasks.begin(), plan.tasks.end(), [](const StageTask& task) { return task.alone; }))
+    asked.insert("threads");
   std::string stages = ablation.options.cache, others;
   for (const auto& difference : differences_from(read_file(config), config.string(), ablation.options)) {
     if (difference.key == "cache") stages = difference.before;
@@ -72,7 +75,8 @@ void check_same_question(const Ablation& ablation, const AblationPlan& plan, con
     for (const auto& stage : report.value("stages", nlohmann::json::array()))
       before.insert(stage.value("question", ""));
     for (const StageTask& task : plan.tasks) now.insert(task.question);
-    if (before.count("") > 0 || before == now) return;  // of a program that did not note them
+    // Another program has other options, which are part of the question, and begins anew in any case.
+    if (report.value("program", "") != program || before.count("") > 0 || before == now) return;
     others = "other weights in the model's folder, or another file of a stage's config";
   }
   if (stages.empty() || stages == "\"\"") stages = (folder / "cache").string();
@@ -98,7 +102,7 @@ AblationOutcome run_ablation(const Ablation& ablation, const ProgramCommands& co
   const StageCache cache(options.cache.empty() ? own_cache : fs::path(options.cache));
   if (options.plan) return {plan_text(plan, cache, options.jobs_to_use()), true};
 
-  if (!options.overwrite) check_same_question(ablation, plan, options.out);
+  if (!options.overwrite) check_same_question(ablation, plan, commands.version, options.out);
   RunFolder folder(options.out, "ablate", options,
                    options.overwrite ? EarlierRun::kOverwrite : EarlierRun::kContinue);
   if (options.overwrite) remove_stages(own_cache);

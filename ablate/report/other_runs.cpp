@@ -63,30 +63,43 @@ void check_questions(const Json& report, const fs::path& folder, const AblationP
     const bool has_all = found != others.end() && std::includes(found->second.begin(), found->second.end(),
                                                                 questions.begin(), questions.end());
     if (has_all) continue;
-    fail({kWhere, fmt::format("stage '{}' as it is here in everything but its seed", stage),
-          fmt::format("{} in '{}'", found == others.end() ? "none" : "another one", folder.string()),
-          "give it the same description, model, --overrides and --smoke, or leave the folder out"});
+    fail(
+        {kWhere, fmt::format("stage '{}' as it is here in everything but its seed", stage),
+         fmt::format("{} in '{}'", found == others.end() ? "none" : "another one", folder.string()),
+         "give it the same description, model, --overrides, --threads and --smoke, or leave the folder out"});
   }
 }
 
+// Returns what a variant's results answer, as the report noted it, or as its stages say that it did not yet.
+Json question_of(const Json& report, const std::string& variant, const Json& reads) {
+  if (reads.contains("question")) return reads.at("question");
+  std::set<std::string> questions;
+  for (const Json& stage : report.at("stages")) {
+    if (stage.value("stage", "") != reads.value("stage", "")) continue;
+    const auto users = stage.value("used_by", std::vector<std::string>());
+    const bool used = std::any_of(users.begin(), users.end(), [&](const std::string& user) {
+      return user.rfind(variant + ", seed ", 0) == 0;
+    });
+    if (used) questions.insert(stage.value("question", ""));
+  }
+  return fmt::format("{}", fmt::join(questions, " "));
+}
+
 void check_numbers_read(const Json& report, const fs::path& folder, const Json& here) {
-  const Json& reads = report.value("reads", Json::object());
-  const auto noted = [](const Json& entry) { return entry.contains("question"); };
-  if (reads.empty() || !std::all_of(reads.begin(), reads.end(), noted)) {
-    fail(
-        {(folder / "report.json").string(), "which numbers it compares",
-         "the report of a program that did not note them",
-         "run it again with --overwrite: stages that are done in its cache are taken where the program is the same"});
+  if (!report.contains("reads")) {
+    fail({(folder / "report.json").string(), "which numbers it compares",
+          "the report of a program that did not note them", "run it again, or leave the folder out"});
   }
   for (const auto& [variant, entry] : here.items()) {
-    const Json there = reads.value(variant, Json::object());
+    const Json there = report.at("reads").value(variant, Json::object());
+    if (question_of(report, variant, there) != entry.at("question")) {
+      fail(
+          {kWhere, fmt::format("variant '{}' as it is here in everything but its seed", variant),
+           fmt::format("another one of that name in '{}'", folder.string()),
+           "give it the same description, model, --overrides, --threads and --smoke, or leave the folder out"});
+    }
     for (const auto& [key, value] : entry.items()) {
-      if (there.value(key, Json()) == value) continue;
-      if (key == "question") {
-        fail({kWhere, fmt::format("variant '{}' as it is here in everything but its seed", variant),
-              fmt::format("another one of that name in '{}'", folder.string()),
-              "give it the same description, model, --overrides and --smoke, or leave the folder out"});
-      }
+      if (key == "question" || there.value(key, Json()) == value) continue;
       fail({kWhere, fmt::format("the same numbers, of variant '{}' {}: {}", variant, key, value.dump()),
             fmt::format("{} in '{}'", there.value(key, Json()).dump(), folder.string()),
             "give it the same description, or leave the folder out"});
@@ -151,8 +164,8 @@ nlohmann::ordered_json numbers_read(const Ablation& ablation, const AblationPlan
   for (const VariantRun& run : plan.runs) {
     const VariantDescription& variant = ablation.variants[run.variant];
     const std::string& stage = plan.tasks[run.results.front()].stage;
-    std::vector<std::string> questions;
-    for (const size_t result : run.results) questions.push_back(plan.tasks[result].question);
+    std::set<std::string> questions;
+    for (const size_t result : run.results) questions.insert(plan.tasks[result].question);
     nlohmann::ordered_json entry{{"stage", stage},
                                  {"question", fmt::format("{}", fmt::join(questions, " "))},
                                  {"file", ablation.stage(stage).results},

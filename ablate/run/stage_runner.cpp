@@ -9,6 +9,7 @@
 #include "gld/base/error.h"
 #include "gld/base/interrupt.h"
 #include "gld/base/printable_text.h"
+#include "gld/base/yaml_text.h"
 #include "gld/report/progress.h"
 #include "models/bundle/bundle.h"
 
@@ -337,7 +338,7 @@ class Scheduler {
 
   // A result of other weights would be kept under the key of those that the ablation was planned with.
   static void require_same_base(const StageTask& task) {
-    if (!task.takes_model || task.model) return;
+    if (!task.takes_model || task.model || files_stamp(task.base_model) == task.base_stamp) return;
     if (ModelBundle::open(task.base_model).content_hash() == task.base_hash) return;
     fail({task.base_model.string(), "the files that the ablation began with", "others",
           "put them back, or run the command again"});
@@ -355,18 +356,14 @@ class Scheduler {
   }
 
   // Commands refuse to go on with other options than they were begun with, and the cache may be named otherwise now.
+  // Trainings may go on with a model of another name.
   bool is_of_these_folders(const StageTask& task, const fs::path& run) const {
-    const fs::path file = run / "config.yaml";
-    if (!fs::exists(file)) return true;  // it was killed before it was written
-    const std::string before = read_file(file);
-    const auto names = [&](const fs::path& folder) {
-      return before.find(folder.string()) != std::string::npos;
-    };
-    const bool same_model =
-        !task.takes_model || trains(task.command) || names(model_folder(task, plan_, cache_));
-    return same_model && std::all_of(task.named.begin(), task.named.end(), [&](const auto& named) {
-             return names(cache_.run(plan_.tasks[named.second]));
-           });
+    const fs::path options = cache_.folder(task) / "options.yaml", configuration = run / "config.yaml";
+    if (!fs::exists(options) || read_file(options) != with_folders(task.options, task, plan_, cache_))
+      return false;
+    if (!task.takes_model || trains(task.command) || !fs::exists(configuration)) return true;
+    const auto model = parse_yaml(read_file(configuration), configuration.string())["model"];
+    return model && model.IsScalar() && model.Scalar() == model_folder(task, plan_, cache_).string();
   }
 
   // Leaves the run folder as the command can begin or go on in it; returns whether it goes on.

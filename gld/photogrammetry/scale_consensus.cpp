@@ -128,11 +128,15 @@ void ScaleConsensus::add(const std::vector<float>& density, const ObservedPart& 
   std::vector<double> blurred(density.size(), 0.0);
   for (std::ptrdiff_t i = 0; i < count; ++i) {
     const auto first = std::max<std::ptrdiff_t>(0, i - reach), last = std::min(count - 1, i + reach);
-    double value = 0;
+    double value = 0, weights = 0;
     for (std::ptrdiff_t j = first; j <= last; ++j) {
-      value += kernel_[static_cast<size_t>(j - i + reach)] * density[static_cast<size_t>(j)];
+      const double weight = kernel_[static_cast<size_t>(j - i + reach)];
+      weights += weight;
+      value += weight * density[static_cast<size_t>(j)];
     }
-    blurred[static_cast<size_t>(i)] = value / sum;
+    // Candidates that are cut off go on beyond the ends: as if nothing were there, the blur would move a maximum from the
+    // end inwards.
+    blurred[static_cast<size_t>(i)] = value / (candidates_.cut_off ? weights * sum : sum);
   }
   add_blurred(blurred, part);
 }
@@ -173,9 +177,7 @@ std::optional<DepthScale> ScaleConsensus::estimate(const std::string& estimator,
 
   // This finds where to look, and how often other blocks would have said to look elsewhere.
   const double middle = peak(sum_of(all));
-  // The blur loses what lies beyond an end, and moves a maximum there inwards.
-  const double blurred = 2 * kDepthDeviation / candidates_.log_step;
-  const bool at_an_end = middle < blurred || middle > static_cast<double>(count) - 1 - blurred;
+  const bool at_an_end = middle < 1 || middle > static_cast<double>(count) - 2;
   if (candidates_.cut_off && at_an_end) return std::nullopt;
   std::vector<double> off;
   off.reserve(kResamplings);

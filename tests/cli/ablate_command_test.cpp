@@ -186,12 +186,14 @@ TEST_F(AblateCommand, GoesOnAfterItWasKilledAndRunsEveryStageOnce) {
   fs::rename(folder_.path() / "first_model", folder_.path() / "model");
 
   // Another question does not take the place of the answer that is there.
+  const std::string answer = read_file(run() / "ablation.md");
   EXPECT_EQ(gld_ablate({"--seeds", "0"}), 1);
   EXPECT_THAT(
       text_,
       HasSubstr("expected the question whose results are there, found seeds [0] (it was [0, 1]); choose "
                 "another --out, with --cache " +
                 (run() / "cache").string() + " to take its finished stages"));
+  EXPECT_EQ(read_file(run() / "ablation.md"), answer);
 
   EXPECT_EQ(gld_ablate({"--smoke", "--overwrite"}), 0) << text_;
   EXPECT_EQ(stages("level").size(), 1U);
@@ -290,7 +292,7 @@ TEST_F(AblateCommand, SeedsOfOtherRunsCountAsIfThisOneHadRunThem) {
       text_,
       "error: --with-runs: expected stage 'eval' as it is here in everything but its seed, found another one in '" +
           folder("zero") +
-          "'; give it the same description, model, --overrides and --smoke, or leave the folder out.\n");
+          "'; give it the same description, model, --overrides, --threads and --smoke, or leave the folder out.\n");
   write_file_atomically(folder_.path() / "a.yaml",
                         std::regex_replace(text, std::regex("sample_psnr"), "reconstruction_psnr"));
   EXPECT_EQ(run_seeds("two", "2", {"--with-runs", folder("zero")}), 2);
@@ -311,7 +313,7 @@ TEST_F(AblateCommand, SeedsOfOtherRunsCountAsIfThisOneHadRunThem) {
       "error: --with-runs: expected variant 'guided' as it is here in everything but its seed, found another one of "
       "that name in '" +
           folder("zero") +
-          "'; give it the same description, model, --overrides and --smoke, or leave the folder out.\n");
+          "'; give it the same description, model, --overrides, --threads and --smoke, or leave the folder out.\n");
   write_file_atomically(folder_.path() / "a.yaml", text);
   EXPECT_EQ(run_seeds("two", "2", {"--with-runs", folder("three")}), 2);
   EXPECT_EQ(text_,

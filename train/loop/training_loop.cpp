@@ -428,9 +428,10 @@ void Session::count_non_finite(const StepOutcome& outcome) {
   const std::string look =
       files.empty()
           ? "look at what the process that computed it wrote into " + (run_.folder / "non_finite").string()
-      : files.size() == 1 ? "look at the batch in " + files.front().string()
-                          : fmt::format("look at the step's {} batches in {}", files.size(),
-                                        files.front().parent_path().string());
+      : files.size() == 1
+          ? "look at the batch in " + files.front().string()
+          : fmt::format("look at the step's {} batches from {} on in {}", files.size(),
+                        files.front().filename().string(), files.front().parent_path().string());
   fail({"training step " + std::to_string(step_), "finite losses and gradients",
         outcome.problem + " (" + std::to_string(skipped_in_a_row_) + " skipped steps in a row)",
         look + ", or lower the learning rate with --resume --may-change loop.learning_rate.peak"});

@@ -251,6 +251,18 @@ BackboneObjective::SceneResult BackboneObjective::evaluate(const TrainingScene& 
   return result;
 }
 
+void BackboneObjective::count_depth(const TrainingScene& scene, bool asked, bool known) {
+  if (known) {
+    without_depth_ = 0;
+    return;
+  }
+  constexpr int64_t kMost = 1000;  // scenes in a row
+  if (!asked || ++without_depth_ < kMost) return;
+  fail({"scene " + scene.name, "pixels of known depth in the views that are shown, at least in some scenes",
+        fmt::format("none in {} scenes one after the other", kMost),
+        "check the unit of the depth, and what stands for unknown"});
+}
+
 Losses BackboneObjective::losses(const TrainingBatch& batch, const StepContext& context) {
   torch::Generator generator = context.generator;
   const double share = 1.0 / static_cast<double>(batch.scenes.size());
@@ -276,6 +288,9 @@ Losses BackboneObjective::losses(const TrainingBatch& batch, const StepContext& 
     showing.noisy = &generator;
     const SceneResult result = evaluate(scene, showing);
     const bool says_geometry = result.geometry.total.defined();
+    const bool reads_geometry = std::any_of(result.token_errors.begin(), result.token_errors.end(),
+                                            [](const auto& losses) { return losses.total.defined(); });
+    count_depth(scene, showing.head || reads_geometry, says_geometry || reads_geometry);
     torch::Tensor total = says_geometry ? result.geometry.total : torch::zeros({}, scene.images.options());
     for (size_t level = 0; level < result.pixel_errors.size(); ++level) {
       total = total + options_.pixel_weights[level] * result.pixel_errors[level];

@@ -4,6 +4,7 @@
 #include "train/loop/objective.h"
 #include "train/objectives/geometry_loss.h"
 
+#include <atomic>
 #include <cstdint>
 #include <memory>
 #include <vector>
@@ -80,6 +81,8 @@ class BackboneObjective : public Objective {
   void export_model(const std::filesystem::path& folder, DType dtype) const override;
 
  private:
+  // Throws Error after many scenes in a row of which geometry was asked and no depth was known.
+  void count_depth(const TrainingScene& scene, bool asked, bool known);
   struct SceneResult {
     GeometryLosses geometry;                        // of the head; undefined where it was left out
     std::vector<torch::Tensor> pixel_errors;        // a level each, scalars
@@ -105,6 +108,7 @@ class BackboneObjective : public Objective {
   std::shared_ptr<GeometryHead> head_;  // null where the model has none
   std::vector<std::shared_ptr<Linear>> pixel_layers_;
   std::vector<std::shared_ptr<Linear>> geometry_layers_;  // null where the weight is 0
+  std::atomic<int64_t> without_depth_{0};                 // scenes, by all workers
 };
 
 }  // namespace gld

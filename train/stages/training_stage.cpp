@@ -64,7 +64,7 @@ std::vector<std::string> warnings_of_short_runs(const TrainingLoopOptions& loop)
         1 / (1 - decay), decay, loop.steps));
   }
   const LearningRateOptions& rate = loop.learning_rate;
-  if (rate.warmup_steps >= loop.steps) {
+  if (rate.warmup_steps > loop.steps) {
     warnings.push_back(fmt::format(
         "the learning rate grows for {} steps (loop.learning_rate.warmup_steps), and this run has {}: it ends before "
         "the peak; lower warmup_steps, or train longer",

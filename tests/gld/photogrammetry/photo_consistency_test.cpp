@@ -94,7 +94,6 @@ TEST(PhotoConsistency, SaysNothingWhereNothingCanBeSeen) {
   EXPECT_FALSE(scale_from_photo_consistency(unknown_depth, "photographs").has_value());
 }
 
-// Photographs of two scenes agree nowhere.
 // Every window would vote for a depth that moves it out of the photograph that shows nothing.
 TEST(PhotoConsistency, SaysNothingBesideAPhotographWithoutTexture) {
   auto views = views_of_plane();
@@ -113,6 +112,7 @@ TEST(PhotoConsistency, SaysNothingOfWhatIsTooFarAway) {
   EXPECT_FALSE(scale_from_photo_consistency(views, "photographs").has_value());
 }
 
+// Photographs of two scenes agree nowhere.
 TEST(PhotoConsistency, IsInDoubtWherePhotographsDoNotMatch) {
   auto views = views_of_plane();
   std::mt19937_64 generator(5);

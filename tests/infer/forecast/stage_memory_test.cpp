@@ -99,6 +99,30 @@ PlannedStage stage_of(const BundleOptions& bundle, const PlanRequest& request, S
   return {};
 }
 
+// Photographs are kept larger than the model sees them: of 2016x2016 three of them took 1.2 GB to lay together.
+TEST_F(StageMemoryPrediction, CountsPhotographsAsTheyAreKept) {
+  const BundleOptions bundle = middling_bundle();
+  PlanRequest request = request_of(8);
+  request.num_sources = 3;
+  request.grid.views = 5;
+  request.photographs_used.composition = Composition::kPhotographs;
+  request.photographs_used.depth = SourceDepthOrigin::kFused;
+  const int64_t small = stage_of(bundle, request, StageKind::kComposition).memory.held;
+  const int64_t side = 8 * bundle.backbone.patch_side();
+  request.photograph_magnification = 2016 / side;
+  const auto pixels =
+      static_cast<double>(side * side * request.photograph_magnification * request.photograph_magnification);
+  const auto large =
+      static_cast<double>(stage_of(bundle, request, StageKind::kComposition).memory.held - small);
+  EXPECT_GT(large / pixels, 3 * 60);
+  EXPECT_LT(large / pixels, 3 * 80 + 2 * 60);
+  EXPECT_GT(stage_of(bundle, request, StageKind::kFlow).memory.held,
+            static_cast<int64_t>(3 * 24 * 0.9 * pixels));
+  // Neither matched nor kept, they are not loaded so large.
+  request.photographs_used = {};
+  EXPECT_LT(stage_of(bundle, request, StageKind::kFlow).memory.held, static_cast<int64_t>(pixels));
+}
+
 // It mends all source views at once, where the head has gone.
 TEST_F(StageMemoryPrediction, MendingDepthTakesWhatIsSaid) {
   BundleOptions bundle = middling_bundle();

@@ -167,11 +167,12 @@ TEST(TrainingLoop, KeepsEveryBatchOfAStepWhoseGradientIsNotFinite) {
   test::ToyObjective objective;
   objective.first_steep = 12;
   const auto run = test::toy_run(folder.path(), objective);
-  EXPECT_EQ(test::error_of([&] { train(run, short_run(), TrainingStart::kFresh); }),
-            "training step 8: expected finite losses and gradients, "
-            "found a gradient norm of nan (3 skipped steps in a row); look at the step's 2 batches in " +
-                (folder.path() / "non_finite").string() +
-                ", or lower the learning rate with --resume --may-change loop.learning_rate.peak.");
+  EXPECT_EQ(
+      test::error_of([&] { train(run, short_run(), TrainingStart::kFresh); }),
+      "training step 8: expected finite losses and gradients, "
+      "found a gradient norm of nan (3 skipped steps in a row); look at the step's 2 batches from batch_16.safetensors on in " +
+          (folder.path() / "non_finite").string() +
+          ", or lower the learning rate with --resume --may-change loop.learning_rate.peak.");
   for (const char* name : {"batch_16.safetensors", "batch_17.safetensors"})
     EXPECT_NE(WeightFile::open(folder.path() / "non_finite" / name)->find("scene0.images"), nullptr) << name;
 }
