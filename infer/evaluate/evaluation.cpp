@@ -494,7 +494,7 @@ std::string evaluate(const EvaluationOptions& options) {
       by_count[i].back().scene = name;
     }
     if (!options.attention_times.empty()) attention.push_back(kept.attention);
-    for (const std::string& warning : kept.warnings) warnings.push_back(name + ": " + warning);
+    for (const std::string& warning : kept.warnings) warnings.push_back(fmt::format("{}: {}", name, warning));
   }
 
   std::vector<SceneEvaluation> all;
