@@ -49,8 +49,8 @@ class StageCache {
   std::filesystem::path folder_;
 };
 
-// Returns of each task whether a result is made of it, itself or through others that are not done: what was removed from
-// the cache is not made again for results that are there.
+// Returns of each task whether a result is made of it, itself or through others that are not done: what was removed
+// from the cache is not made again for results that are there.
 std::vector<bool> needed_tasks(const AblationPlan& plan, const StageCache& cache);
 
 // Where a figure of a plan comes from.

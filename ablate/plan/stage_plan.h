@@ -56,9 +56,9 @@ struct AblationPlan {
 
 // Returns what an ablation has to run. Keys are known before anything runs: a stage's is the hash of the program's
 // version, the command, its options after all settings, its seed among them, and the keys of the stages before it or
-// the content of the bundle; of one that runs alone, for its seconds, the number of threads too. Files and folders that options name count by their name, not by their content. Throws
-// Error where an option does not exist or has a wrong value, a bundle cannot be opened or a folder of scenes is
-// missing.
+// the content of the bundle; of one that runs alone, for its seconds, the number of threads too. Files and folders
+// that options name count by their name, not by their content. Throws Error where an option does not exist or has a
+// wrong value, a bundle cannot be opened or a folder of scenes is missing.
 AblationPlan plan_ablation(const Ablation& ablation, const ProgramCommands& commands);
 
 // Returns variants that cannot differ, "a" and "b": the same rows and columns of the same stages.

@@ -28,10 +28,10 @@ struct TaskOutcome {
   std::string problem;  // of a failed task, or of the one before it that failed: one sentence
 };
 
-// Runs what is not done and needed (needed_tasks()), each task behind those that it needs, up to `jobs` at a time, and those that are to be alone
-// alone. A task that fails costs those that need it, and no other. Every stage is a process of its own: killed, or
-// killed together with this process, it is gone on with next time (training) or begun again. There is one outcome a
-// task. Throws Interrupted after Ctrl-C or SIGTERM, when the running stages have stopped.
+// Runs what is not done and needed (needed_tasks()), each task behind those that it needs, up to `jobs` at a time, and
+// those that are to be alone alone. A task that fails costs those that need it, and no other. Every stage is a process
+// of its own: killed, or killed together with this process, it is gone on with next time (training) or begun again.
+// There is one outcome a task. Throws Interrupted after Ctrl-C or SIGTERM, when the running stages have stopped.
 std::vector<TaskOutcome> run_tasks(const AblationPlan& plan, const StageCache& cache,
                                    const RunningOptions& options);
 

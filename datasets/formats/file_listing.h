@@ -9,8 +9,8 @@ namespace gld {
 // Puts "frame_2" before "frame_10": runs of digits compare as numbers.
 bool natural_less(const std::string& a, const std::string& b);
 
-// Return whether there is such a file or folder that can be looked at: not of a link that leads to itself, a name that is
-// too long, or below a folder that may not be read, where the library's own functions throw.
+// Return whether there is such a file or folder that can be looked at: not of a link that leads to itself, a name that
+// is too long, or below a folder that may not be read, where the library's own functions throw.
 bool is_file(const std::filesystem::path& path);
 bool is_folder(const std::filesystem::path& path);
 

@@ -45,8 +45,8 @@ std::vector<Value> nearest(const std::vector<Value>& source, const Undistorter::
   return result;
 }
 
-// Brings depth or a mask to the size of its picture; one of another aspect belongs to another picture, or to this one as
-// it was before it was turned.
+// Brings depth or a mask to the size of its picture; one of another aspect belongs to another picture, or to this one
+// as it was before it was turned.
 template <class Value>
 void fit(std::vector<Value>& values, int64_t& width, int64_t& height, const Undistorter::Size& to,
          const std::filesystem::path& picture) {

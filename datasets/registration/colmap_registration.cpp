@@ -57,8 +57,8 @@ class ColmapProgram {
                                   : "take --photo-cameras features"});
   }
 
-  // Returns that option under the first of these names that the command's own help has, else under the last: COLMAP 3.13
-  // calls some otherwise than those before.
+  // Returns that option under the first of these names that the command's own help has, else under the last: COLMAP
+  // 3.13 calls some otherwise than those before.
   std::string option_of(const std::string& command, const std::vector<std::string>& names) const {
     const std::filesystem::path file = folder_.path() / ("help_" + command + ".txt");
     if (!std::filesystem::exists(file)) {

@@ -12,7 +12,8 @@ struct ColmapRegistrationOptions {
   std::filesystem::path program;  // found_colmap()
   double timeout = 1800;          // seconds, all its steps together
   int threads = 1;
-  // Whether the folder of a failure is kept for somebody to look at; where it is not, the error has the last line printed.
+  // Whether the folder of a failure is kept for somebody to look at; where it is not, the error has the last line
+  // printed.
   bool keeps_failures = true;
 };
 

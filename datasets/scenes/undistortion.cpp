@@ -23,8 +23,8 @@ void check_size(int64_t width, int64_t height, const Undistorter::Size& expected
 }
 
 constexpr float kNowhere = -10;  // a position that is not in the source
-// Positions are kept of every fourth pixel each way, and are between them as on a plane: off by a hundredth of a pixel at
-// the ends of wide lenses, less than the thirty-seconds in which remap() counts.
+// Positions are kept of every fourth pixel each way, and are between them as on a plane: off by a hundredth of a pixel
+// at the ends of wide lenses, less than the thirty-seconds in which remap() counts.
 constexpr int64_t kNodeStep = 4;
 
 int64_t nodes_for(int64_t side) { return (side - 1) / kNodeStep + 2; }

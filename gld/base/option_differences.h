@@ -19,8 +19,8 @@ struct OptionDifference {
 };
 // Returns "loop.seed 4 (it was 3)", for example.
 std::string difference_text(const OptionDifference& difference);
-// Keys that only one of the two has are of a program of another version, which had other options: what it did without one
-// is what defaults, as constructed, have of it. Without defaults those keys are left out. where names the text.
+// Keys that only one of the two has are of a program of another version, which had other options: what it did without
+// one is what defaults, as constructed, have of it. Without defaults those keys are left out. where names the text.
 std::vector<OptionDifference> differences_from(const std::string& yaml, const std::string& where,
                                                const OptionsGroup& options,
                                                const OptionsGroup* defaults = nullptr);

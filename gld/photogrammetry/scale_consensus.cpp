@@ -134,8 +134,8 @@ void ScaleConsensus::add(const std::vector<float>& density, const ObservedPart& 
       weights += weight;
       value += weight * density[static_cast<size_t>(j)];
     }
-    // Candidates that are cut off go on beyond the ends: as if nothing were there, the blur would move a maximum from the
-    // end inwards.
+    // Candidates that are cut off go on beyond the ends: as if nothing were there, the blur would move a maximum from
+    // the end inwards.
     blurred[static_cast<size_t>(i)] = value / (candidates_.cut_off ? weights * sum : sum);
   }
   add_blurred(blurred, part);

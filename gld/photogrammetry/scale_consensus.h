@@ -50,11 +50,10 @@ class ScaleConsensus {
 
   int64_t observations() const { return observations_; }
 
-  // Returns nothing of fewer than 20 observations or 2 blocks, and where the best of candidates that are cut off lies at an
-  // end. The interval covers where the maximum lies
-  // when blocks are drawn anew (bootstrap, always with the same draws) and the scatter between views, and is never
-  // narrower than smallest_deviation (of the logarithm) allows. The residual is the median of |log(ratio / scale)| over
-  // the observations that are decided by themselves.
+  // Returns nothing of fewer than 20 observations or 2 blocks, and where the best of candidates that are cut off lies
+  // at an end. The interval covers where the maximum lies when blocks are drawn anew (bootstrap, always with the same
+  // draws) and the scatter between views, and is never narrower than smallest_deviation (of the logarithm) allows. The
+  // residual is the median of |log(ratio / scale)| over the observations that are decided by themselves.
   std::optional<DepthScale> estimate(const std::string& estimator, double smallest_deviation) const;
 
  private:

@@ -39,8 +39,8 @@ struct DensityStatistics {
 void gather(const SplatView& view, const ColourGradients& gradients, int64_t gaussians,
             DensityStatistics& statistics);
 
-// Returns the last step at which Gaussians are added or removed in a fit of so many: `every` steps before its end at the
-// latest, since what was added has to find its place.
+// Returns the last step at which Gaussians are added or removed in a fit of so many: `every` steps before its end at
+// the latest, since what was added has to find its place.
 int64_t last_density_step(const DensityOptions& options, int64_t steps);
 
 struct DensityStep {

@@ -144,10 +144,10 @@ int64_t packed_bytes(int64_t float32_bytes, ComputePrecision precision) {
   }
 }
 
-// Returns the bytes of source photographs as they are matched and kept, and of what is carried of them: colours of float32
-// once in the scene and once in the request; where views are laid together, once more with their depth, once evened for
-// a target, and once as they are carried with their weights; and of each target view what is shown, its picture, what
-// was generated as large, and all of them stacked.
+// Returns the bytes of source photographs as they are matched and kept, and of what is carried of them: colours of
+// float32 once in the scene and once in the request; where views are laid together, once more with their depth, once
+// evened for a target, and once as they are carried with their weights; and of each target view what is shown, its
+// picture, what was generated as large, and all of them stacked.
 int64_t photographs_held(const PlannedStage& stage, const BundleOptions& bundle, const PlanRequest& request) {
   const StageRequest stages = request.stage_request();
   if (!stages.photographs.matches() && !stages.photographs.composes()) return 0;

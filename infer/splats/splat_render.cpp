@@ -85,7 +85,8 @@ void SplatRenderOptions::check() const {
 
 namespace {
 
-// Returns how Gaussians are drawn: as they were fitted, where they come with their run and the options do not say otherwise.
+// Returns how Gaussians are drawn: as they were fitted, where they come with their run and the options do not say
+// otherwise.
 ProjectionOptions projection_of(const SplatRenderOptions& options) {
   const std::filesystem::path run = options.splats;
   const auto configuration = run / kRunConfiguration, report = run / "report.json";

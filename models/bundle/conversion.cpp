@@ -371,8 +371,8 @@ BundleOptions described_bundle(const ConversionOptions& options) {
   return released_da3_options();
 }
 
-// Two models may be of one network, whose files have the same tensors, and differ by a number in model.yaml alone: SD's and
-// SDXL's autoencoders by the scale of their latents.
+// Two models may be of one network, whose files have the same tensors, and differ by a number in model.yaml alone:
+// SD's and SDXL's autoencoders by the scale of their latents.
 void require_no_other_model(const PublishedBackbone& published, const std::string& path,
                             const BundleOptions& bundle) {
   const std::string described = to_yaml(bundle.backbone);
@@ -465,8 +465,8 @@ ordered_json convert_files(const ConversionOptions& options, const fs::path& add
   return report;
 }
 
-// All parts are written beside the bundle before any takes its place in it: a conversion that fails leaves the bundle as
-// it was.
+// All parts are written beside the bundle before any takes its place in it: a conversion that fails leaves the bundle
+// as it was.
 ordered_json convert_into(const ConversionOptions& options, const BundleOptions& bundle,
                           const std::vector<Source>& sources) {
   const fs::path folder = options.out;

@@ -48,8 +48,8 @@ struct ConversionOptions : OptionsGroup {
 // {dtype: tensors}, "to", "bytes"}}, "ignored": [{"source", "names", "tensors", "reason"}], "missing": [...]}. It is
 // strict: every tensor of a source file is used or listed under "ignored" with its reason, and every tensor of a module
 // is there. Numbers that are not finite, or not in the new precision, are an Error naming the tensor. Tensors are
-// converted one at a time. The report is also written into the bundle as conversion.json, with what earlier conversions into
-// it said of other parts. Where it fails the bundle is as it was.
+// converted one at a time. The report is also written into the bundle as conversion.json, with what earlier
+// conversions into it said of other parts. Where it fails the bundle is as it was.
 nlohmann::ordered_json convert(const ConversionOptions& options);
 
 std::string conversion_text(const nlohmann::ordered_json& report);

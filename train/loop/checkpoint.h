@@ -24,7 +24,8 @@ struct Checkpoint {  // NOLINT(bugprone-exception-escape): moving JSON throws no
   std::map<std::string, torch::Tensor> tensors;  // any device
 };
 
-// The names of the tensors that are no step's (Objective::untrained()) begin so; checkpoints of programs of before have none.
+// The names of the tensors that are no step's (Objective::untrained()) begin so; checkpoints of programs of before
+// have none.
 constexpr const char* kUntrainedTensors = "untrained.";
 
 // Writes one safetensors file under a temporary name and renames it. A checksum over all that it holds, names, dtypes,

@@ -55,9 +55,9 @@ class Objective {
   virtual torch::Device device() const = 0;
   // Returns the parameters that the loop's optimiser moves, in a fixed order.
   virtual std::vector<NamedParameter> parameters() const = 0;
-  // Returns the other tensors of the trained model: no step moves them (the frequencies of a time embedding, an encoder of
-  // cameras that no loss reaches), and weights that were learnt beside others are worth nothing, so that a checkpoint has
-  // them too.
+  // Returns the other tensors of the trained model: no step moves them (the frequencies of a time embedding, an
+  // encoder of cameras that no loss reaches), and weights that were learnt beside others are worth nothing, so that a
+  // checkpoint has them too.
   virtual std::vector<NamedParameter> untrained() const = 0;
   // Returns whether losses() may be called from several threads at the same time.
   virtual bool concurrent() const { return false; }

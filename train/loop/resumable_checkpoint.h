@@ -22,8 +22,8 @@ void check_resumable(const Checkpoint& checkpoint, const Checkpoint& like, const
 void check_same_model(const Checkpoint& checkpoint, const OptionsGroup& model, const OptionsGroup* defaults,
                       const std::vector<std::string>& may_change, const std::string& where);
 
-// Checks the frozen parts that a run is trained on, SHA-256 by name, as the checkpoint keeps them. Throws Error naming the
-// first that is another one.
+// Checks the frozen parts that a run is trained on, SHA-256 by name, as the checkpoint keeps them. Throws Error naming
+// the first that is another one.
 void check_same_parts(const Checkpoint& checkpoint, const std::map<std::string, std::string>& parts,
                       const std::string& where);
 

@@ -89,9 +89,9 @@ void check_training_start(const std::filesystem::path& folder, TrainingStart sta
 
 // The one training loop. Writes into run.folder: checkpoints/, metrics.jsonl, loss.svg and .png, validation/, model/
 // (the exported bundle, at the end). Steps whose loss or gradient is not finite are skipped and counted;
-// stop_after_non_finite of them in a row are an Error, with the batches that may be the cause saved in non_finite/. On Ctrl-C a
-// checkpoint is written and Interrupted is thrown. On the CPU with one thread count, N steps in one call and in
-// several with kResume give the same bytes.
+// stop_after_non_finite of them in a row are an Error, with the batches that may be the cause saved in non_finite/. On
+// Ctrl-C a checkpoint is written and Interrupted is thrown. On the CPU with one thread count, N steps in one call and
+// in several with kResume give the same bytes.
 TrainingSummary train(const TrainingRun& run, const TrainingLoopOptions& options, TrainingStart start);
 
 }  // namespace gld

@@ -32,7 +32,8 @@ struct RayGrid {
 // Returns, of each of `cells` that cover so many pixels evenly, the pixel under its middle.
 torch::Tensor pixel_under_cell(int64_t cells, int64_t pixels);
 
-// Returns none where no cell's depth is known, which leaves the scale open. Throws Error when the scene comes without depth.
+// Returns none where no cell's depth is known, which leaves the scale open. Throws Error when the scene comes without
+// depth.
 std::optional<GeometryTargets> geometry_targets(const TrainingScene& scene, const RayGrid& grid);
 
 }  // namespace gld

@@ -40,8 +40,8 @@ torch::Tensor drift(SolverRun& run, const torch::Tensor& x, double t) {
 }
 
 // A row is a view in sampling. Its noise in each step follows from the seed and from what the row begins with, which is
-// noise of its own for each sample, level and view (gld/latents/noise.h): so it is another one for each of them too, and
-// the same whatever rows are beside it.
+// noise of its own for each sample, level and view (gld/latents/noise.h): so it is another one for each of them too,
+// and the same whatever rows are beside it.
 class RowNoise {
  public:
   RowNoise(const torch::Tensor& begin, int64_t seed) : seed_(static_cast<uint64_t>(seed)) {

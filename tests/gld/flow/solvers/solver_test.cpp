@@ -349,8 +349,8 @@ TEST(StochasticSolver, ReachesTheDistribution) {
   }
 }
 
-// A view's noise is another one than that of the views beside it, of other samples and of other levels, and does not depend
-// on how many there are.
+// A view's noise is another one than that of the views beside it, of other samples and of other levels, and does not
+// depend on how many there are.
 TEST(StochasticSolver, EveryRowHasNoiseOfItsOwn) {
   SolverOptions options;
   options.solver = SolverKind::kEulerMaruyama;
