@@ -12,6 +12,7 @@
 #include <map>
 
 #include <fmt/format.h>
+#include <opencv2/core/utility.hpp>
 
 namespace gld {
 namespace {
@@ -191,6 +192,7 @@ Registration registration_of(const std::vector<UnregisteredPhotograph>& photogra
 
 Registration register_by_features(const std::vector<UnregisteredPhotograph>& photographs,
                                   const FeatureRegistrationOptions& options, const std::string& where) {
+  cv::setNumThreads(options.threads);  // OpenCV's own, of SIFT, are as many as cores
   require_several(photographs, where);
   std::vector<PictureFeatures> pictures;
   for (const UnregisteredPhotograph& photograph : photographs) {

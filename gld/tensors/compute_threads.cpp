@@ -3,14 +3,11 @@
 #include "gld/base/command_options.h"
 #include "gld/tensors/torch_version.h"
 
-#include <opencv2/core/utility.hpp>
-
 namespace gld {
 
 int use_threads(int64_t threads) {
   const auto count = static_cast<int>(threads_to_use(threads));
   set_thread_count(count);
-  cv::setNumThreads(count);
   return count;
 }
 
