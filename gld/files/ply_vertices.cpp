@@ -55,6 +55,17 @@ int64_t PlyVertices::column(const std::string& property) const {
   return found == properties.end() ? -1 : found - properties.begin();
 }
 
+std::vector<std::string> ply_comments(const std::string& name, const std::string& text) {
+  constexpr size_t kLongest = 900;
+  std::string line = text;
+  std::replace(line.begin(), line.end(), '\n', ' ');
+  std::replace(line.begin(), line.end(), '\r', ' ');
+  std::vector<std::string> lines{fmt::format("{} {}", name, line.substr(0, kLongest))};
+  for (size_t at = kLongest; at < line.size(); at += kLongest)
+    lines.push_back(fmt::format("{}+ {}", name, line.substr(at, kLongest)));
+  return lines;
+}
+
 PlyVertices parse_ply_vertices(ByteView file, const std::string& where) {
   const std::string header(reinterpret_cast<const char*>(file.data), std::min(file.size, kMaximumPlyHeader));
   const std::string mark = "end_header\n";

@@ -19,6 +19,10 @@ struct PlyVertices {
   int64_t column(const std::string& property) const;
 };
 
+// Returns a comment "NAME TEXT" as lines without the word itself: readers such as rply take none beyond 1024
+// characters, so that a long text goes on under "NAME+". Ends of lines become blanks.
+std::vector<std::string> ply_comments(const std::string& name, const std::string& text);
+
 // Longest header that is read, in bytes.
 constexpr size_t kMaximumPlyHeader = 1 << 20;
 

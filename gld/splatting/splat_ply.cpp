@@ -8,6 +8,7 @@
 #include <algorithm>
 #include <locale>
 #include <sstream>
+#include <utility>
 
 #include <fmt/format.h>
 
@@ -15,9 +16,6 @@ namespace gld {
 namespace {
 
 constexpr const char* kOriginNote = "gld:origin";
-// Some readers take no line beyond 1024 characters; a longer comment goes on under NAME+, as in point clouds.
-constexpr size_t kLongestComment = 900;
-
 std::vector<std::string> property_names(int64_t harmonics_each) {
   std::vector<std::string> names = {"x", "y", "z", "nx", "ny", "nz", "f_dc_0", "f_dc_1", "f_dc_2"};
   for (int64_t k = 0; k < harmonics_each; ++k) names.push_back(fmt::format("f_rest_{}", k));
@@ -53,15 +51,7 @@ void write_splat_ply(const std::filesystem::path& file, const GaussianSet& set,
         fmt::format("{} {} {} {}", kOriginNote, set.origin[0], set.origin[1], set.origin[2]));
   }
   for (const auto& [name, text] : notes) {
-    std::string line = text;
-    const auto text_from = [&](const std::string& whole, size_t at) {
-      return whole.substr(at, kLongestComment);
-    };
-    std::replace(line.begin(), line.end(), '\n', ' ');
-    std::replace(line.begin(), line.end(), '\r', ' ');
-    vertices.comments.push_back(name + " " + text_from(line, 0));
-    for (size_t at = kLongestComment; at < line.size(); at += kLongestComment)
-      vertices.comments.push_back(name + "+ " + text_from(line, at));
+    for (std::string& line : ply_comments(name, text)) vertices.comments.push_back(std::move(line));
   }
   const int64_t others = harmonic_coefficients(set.degree) - 1;
   vertices.properties = property_names(3 * others);

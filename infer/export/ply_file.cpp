@@ -2,6 +2,7 @@
 
 #include "gld/base/atomic_file.h"
 #include "gld/base/error.h"
+#include "gld/files/ply_vertices.h"
 
 #include <algorithm>
 #include <cstring>
@@ -11,20 +12,12 @@
 namespace gld {
 namespace {
 
-// Readers such as rply take no line beyond 1024 characters; longer comments continue under NAME+.
-constexpr size_t kCommentLength = 900;
 constexpr double kFloatRounding = 1.0 / (1 << 24);
 
 std::string comments(const TextItems& items) {
   std::string lines;
   for (const auto& [name, text] : items) {
-    std::string line = text;
-    std::replace(line.begin(), line.end(), '\n', ' ');
-    std::replace(line.begin(), line.end(), '\r', ' ');
-    lines += "comment " + name + " " + line.substr(0, kCommentLength) + "\n";
-    for (size_t at = kCommentLength; at < line.size(); at += kCommentLength) {
-      lines += "comment " + name + "+ " + line.substr(at, kCommentLength) + "\n";
-    }
+    for (const std::string& line : ply_comments(name, text)) lines += "comment " + line + "\n";
   }
   return lines;
 }
